@@ -52,10 +52,9 @@ def _survive_full_disks(cache: Any) -> None:
         try:
             save(signature, made)
         except OSError as error:
-            reason = f"{NOT_KEPT} ({cache.cache_path}: {error.strerror})"
-            if reason not in _reasons:
-                _reasons.append(reason)
-                log.warning("%s: %s", reason, REMEDY)
+            if not _reasons:  # numba has a folder for each of ours: one of them stands for all
+                _reasons.append(f"{NOT_KEPT} ({cache.cache_path}: {error.strerror})")
+                log.warning("%s", why_not_kept())
 
     cache.save_overload = save_if_possible
 

@@ -41,9 +41,9 @@ TILE = f"tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
 
 
 @pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    expected = "SKUGGA_EXPECT_RENDERER"
-    return {key: value for key, value in os.environ.items() if key != expected} | WITHOUT_DRIVERS
+def environment() -> dict[str, str]:
+    """This process's, but without drivers, and without a word of which one is expected."""
+    return {key: value for key, value in os.environ.items() if key != "SKUGGA_EXPECT_RENDERER"} | WITHOUT_DRIVERS
 
 
 @pytest.fixture(scope="module")
@@ -84,16 +84,16 @@ def test_the_command_line_draws_what_needs_none(level: Path, environment: dict[s
 
 def test_the_service_draws_what_needs_none(level: Path, environment: dict[str, str], client: Client):
     with serving([level], r"on (http://\S+)", environment) as (process, address):
-        url = f"{address}/levels/hills"
-        tile = httpx.get(f"{url}/{TILE}", timeout=PATIENCE_S)
-        assert tile.status_code == 200
-        assert tile.content == client.get(f"/levels/hills/{TILE}").content, "as with OpenGL"
-        ready = httpx.get(f"{address}/readyz").json()
-        assert ready["renderer"] == NO_OPENGL and ready["workers"] == 1
-        for asked in (f"{url}/snapshot.png?view=eye&size=64x64", f"{url}/{TILE}?algorithm=shadow_map"):
-            problem = check_problem(httpx.get(asked, timeout=PATIENCE_S), 503, "no_opengl", None)
-            assert "needs OpenGL" in problem["detail"] and "EGL" not in problem["detail"]
-        assert httpx.get(f"{url}/{TILE}", params=SUN | {"altitude": 9}, timeout=PATIENCE_S).status_code == 200
+        with httpx.Client(base_url=address, timeout=PATIENCE_S) as without:
+            tile = without.get(f"/levels/hills/{TILE}")
+            assert tile.status_code == 200
+            assert tile.content == client.get(f"/levels/hills/{TILE}", timeout=PATIENCE_S).content, "as with OpenGL"
+            ready = without.get("/readyz").json()
+            assert ready["renderer"] == NO_OPENGL and ready["workers"] == 1
+            for asked in ("snapshot.png?view=eye&size=64x64", f"{TILE}?algorithm=shadow_map"):
+                problem = check_problem(without.get(f"/levels/hills/{asked}"), 503, "no_opengl", None)
+                assert "needs OpenGL" in problem["detail"] and "EGL" not in problem["detail"]
+            assert without.get(f"/levels/hills/{TILE}", params=SUN | {"altitude": 9}).status_code == 200
         process.terminate()
         _, said = process.communicate(timeout=PATIENCE_S)
     assert "only bare ground under the sun is drawn without it" in said
@@ -102,5 +102,6 @@ def test_the_service_draws_what_needs_none(level: Path, environment: dict[str, s
 
 def test_a_service_that_expects_a_renderer_does_not_draw_without_one(level: Path, environment: dict[str, str]):
     with serving([level], r"on (http://\S+)", environment | {"SKUGGA_EXPECT_RENDERER": "a GPU"}) as (_, address):
-        check_problem(httpx.get(f"{address}/levels/hills/{TILE}", timeout=PATIENCE_S), 503, "graphics", None)
-        check_problem(httpx.get(f"{address}/readyz"), 503, "not_ready", None)
+        with httpx.Client(base_url=address, timeout=PATIENCE_S) as without:
+            check_problem(without.get(f"/levels/hills/{TILE}"), 503, "graphics", None)
+            check_problem(without.get("/readyz"), 503, "not_ready", None)

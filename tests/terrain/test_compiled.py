@@ -61,7 +61,16 @@ else:
 def twice(number):
     return 2 * number
 
-print(twice(3), twice(1.5), module.why_not_kept(), sep="|")
+import another
+print(twice(3), another.thrice(1.5), module.why_not_kept(), sep="|")
+"""
+
+ANOTHER = """
+from terrain.compiled import compiled
+
+@compiled
+def thrice(number):
+    return 3 * number
 """
 
 
@@ -70,11 +79,13 @@ def test_a_loop_that_cannot_be_kept_runs_all_the_same_and_says_why(
     tmp_path: Path, read_only: bool, reason: str, logged: int
 ) -> None:
     (tmp_path / "loop.py").write_text(KEPT_NOWHERE.format(read_only=read_only), encoding="utf-8")
+    (tmp_path / "another").mkdir()
+    (tmp_path / "another" / "__init__.py").write_text(ANOTHER, encoding="utf-8")
     root = str(Path(__file__).resolve().parents[2])
     environment = {"PYTHONPATH": f"{tmp_path}:{root}"}
     done = subprocess.run([sys.executable, "-c", "import loop"], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     *numbers, said = done.stdout.strip().split("|")
-    assert numbers == ["6", "3.0"]
+    assert numbers == ["6", "4.5"]
     assert reason in said and "NUMBA_CACHE_DIR" in said
-    assert done.stderr.count("NUMBA_CACHE_DIR") == logged, "once, not for each loop"
+    assert done.stderr.count("NUMBA_CACHE_DIR") == logged, "once, not for each loop or folder"
