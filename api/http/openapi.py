@@ -81,7 +81,8 @@ def _give_examples(operation: dict[str, Any], places: dict[str, Any]) -> None:
     for parameter in operation.get("parameters", ()):
         if parameter["name"] in places:
             parameter["schema"]["examples"] = [places[parameter["name"]]]
-        if parameter.get("required"):  # with the others the interface's page would fill its form, and not all of them go together
+        # The interface's page fills its form with these: the others do not all go together.
+        if parameter.get("required") and "examples" in parameter["schema"]:
             parameter["example"] = parameter["schema"]["examples"][0]
     for content in operation.get("requestBody", {}).get("content", {}).values():
         example = content["schema"].pop("examples")[0]
@@ -91,7 +92,7 @@ def _give_examples(operation: dict[str, Any], places: dict[str, Any]) -> None:
 def example_address(path: str, operation: dict[str, Any], query: dict[str, str]) -> str:
     """The path and query of an operation's example: of its ``query``, and else of the parameters that it needs."""
     parameters = operation.get("parameters", [])
-    examples = {each["name"]: each["schema"]["examples"][0] for each in parameters}
+    examples = {each["name"]: each["schema"]["examples"][0] for each in parameters if "examples" in each["schema"]}
     for each in parameters:
         if each["in"] == "path":
             path = path.replace(f"{{{each['name']}}}", quote(str(examples[each["name"]])))

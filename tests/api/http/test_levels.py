@@ -133,7 +133,8 @@ def test_documentation(client: Client):
     assert "/levels/{level}/tiles/{tms}/{z}/{x}/{y}.{format}" in paths
     tile = paths["/levels/{level}/tiles/{tms}/{z}/{x}/{y}.{format}"]["get"]
     assert {"time", "azimuth", "altitude", "algorithm", "layer"} <= {each["name"] for each in tile["parameters"]}
-    schema = tile["responses"]["422"]["content"]["application/problem+json"]["schema"]
+    schema = document["components"]["schemas"]["Problem"]
+    assert tile["responses"]["422"]["content"]["application/problem+json"]["schema"] == {"$ref": "#/components/schemas/Problem"}
     assert {"type", "title", "status", "detail", "code", "parameter"} == set(schema["properties"])
     references = set(re.findall(r'"#/components/schemas/(\w+)"', json.dumps(document)))
     assert references <= set(document.get("components", {}).get("schemas", {}))
