@@ -16,9 +16,14 @@ def same_command(context: typer.Context, *but: str) -> str:
             continue
         values = value if isinstance(value, (list, tuple)) else [value]
         if parameter.param_type_name == "argument":
-            words += map(str, values)
+            words += map(_word, values)
         elif value is True:
             words.append(parameter.opts[0])
         else:
-            words += (word for each in values for word in (parameter.opts[-1], str(each)))
+            words += (word for each in values for word in (parameter.opts[-1], _word(each)))
     return shlex.join(words)
+
+
+def _word(value: object) -> str:
+    """A value as one would type it: 246 where it was read as 246.0."""
+    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
