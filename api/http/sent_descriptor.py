@@ -21,6 +21,9 @@ MAX_LAMPS = 32
 MAX_BANDS = 64
 """Bands of distances: each is a power of two."""
 
+LEAST_EXTENT_M = 1e-6
+"""Of what is seen, in light space: maps of nothing have no texels."""
+
 MAX_NAME = 200
 """Characters of a name, or of a reason."""
 
@@ -152,6 +155,8 @@ class SentDescriptor(Descriptor):
 
     @model_validator(mode="after")
     def _complete(self) -> SentDescriptor:
+        if self.highest_sun_deg is not None and max(self.receivers_light_m or (0.0,)) < LEAST_EXTENT_M:
+            raise PydanticCustomError("receivers", "receivers_light_m of what is seen under a sun: metres, not all of them 0")
         haze, refraction = self.facts.haze, self.facts.refraction
         hazy = self.view_kind == "perspective" and haze is not None and haze.visibility_m is not None
         if hazy and (haze.farthest_m is None or haze.shows_from_m is None):  # type: ignore[union-attr]

@@ -133,6 +133,8 @@ def test_a_descriptor_has_its_own_sun_and_view(client: Client, facts: dict, quer
         ({"facts": {"snow": None}}, "facts"),
         ({"facts": {"haze": {"visibility_m": 0}}}, "facts.haze.visibility_m"),
         ({"facts": {"refraction": {"lift_deg": 0.1}}}, "body"),
+        ({"receivers_light_m": None}, "body"),
+        ({"receivers_light_m": [0, 0, 0]}, "body"),
         ({"facts": {"rain": {}}}, "facts.rain"),
         ({"facts": []}, "facts"),
         ({"level": "hills"}, "level"),
