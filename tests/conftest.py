@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import resource
 import signal
@@ -80,6 +81,12 @@ def _clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in os.environ:
         if name.startswith("SKUGGA_") and name != "SKUGGA_EXPECT_RENDERER":
             monkeypatch.delenv(name)
+
+
+@pytest.fixture(autouse=True)
+def _log_is_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A service that another test ran has kept its log to itself since."""
+    monkeypatch.setattr(logging.getLogger("skugga"), "propagate", True)
 
 
 @pytest.fixture
