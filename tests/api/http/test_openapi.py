@@ -160,7 +160,7 @@ def narrowed(document: dict[str, Any]) -> dict[str, Any]:
     narrow = copy.deepcopy(document)
     x, y = CORNER
     places: dict[str, dict[str, Any]] = {
-        "level": {"enum": ["hills", "timed", "site"]}, "tms": {"enum": ["WebMercatorQuad", "WorldCRS84Quad", "Nowhere"]},
+        "level": {"enum": ["hills", "timed", "site", "nowhere"]}, "tms": {"enum": ["WebMercatorQuad", "WorldCRS84Quad", "Nowhere"]},
         "z": {"minimum": ZOOM, "maximum": ZOOM + 1},
         "x": {"minimum": x - 1, "maximum": x + 1}, "y": {"minimum": y - 1, "maximum": y + 1},
         "lon": {"minimum": 8.38, "maximum": 8.5}, "lat": {"minimum": 47.47, "maximum": 47.56},
@@ -285,3 +285,13 @@ def test_only_pages_of_the_setting_s_origins_may_ask(serve_with):
 def test_heads_of_health_are_without_bodies(client: Client, path: str):
     head, whole = client.head(path), client.get(path)
     assert (head.status_code, head.content, head.headers["content-type"]) == (200, b"", whole.headers["content-type"])
+
+
+@pytest.mark.parametrize(("method", "path"), [each for each in OPERATIONS if "{level}" in each[1]])
+def test_a_level_that_is_not_there_is_told_of(client: Client, document: dict[str, Any], method: str, path: str):
+    operation = document["paths"][path][method.lower()]
+    address = address_of(operation).replace("/levels/hills", "/levels/nowhere").replace("LAYERS=hills", "LAYERS=nowhere")
+    body = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("example")
+    answer = client.request(method, address, json=body)
+    assert answer.status_code == 404
+    assert answer.headers["content-type"].split(";")[0] in operation["responses"]["404"]["content"]
