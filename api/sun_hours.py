@@ -29,7 +29,7 @@ BLOCK_NODES = 2 * BLOCK_PX
 LARGE_RASTER_CELLS = 16_000_000
 """From as many on a raster's blocks are smaller: what may stand beside one is more than itself, and memory is bounded."""
 
-BLOCK_NODES_OF_LARGE = BLOCK_PX + BLOCK_PX // 2
+BLOCK_NODES_OF_LARGE = BLOCK_PX
 
 LEAST_BLOCK_NODES = 64
 
