@@ -9,7 +9,6 @@ import os
 import re
 import warnings
 from collections.abc import Iterable, Sequence
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,7 +31,6 @@ class DataRoots:
 
     def __init__(self, roots: Sequence[Path]) -> None:
         self._roots = tuple(dict.fromkeys(os.path.realpath(root) for root in roots))
-        self._real_folder = cache(os.path.realpath)
 
     def check_path(self, level: Path, file: str) -> None:
         """Look at a file or folder, which need not be there, or at an address."""
@@ -76,7 +74,7 @@ class DataRoots:
         folder, name = os.path.split(file)
         if name in ("", ".", ".."):
             return os.path.realpath(file)
-        path = os.path.join(self._real_folder(folder or os.curdir), name)
+        path = os.path.join(os.path.realpath(folder or os.curdir), name)
         return os.path.realpath(path) if os.path.islink(path) else path
 
 

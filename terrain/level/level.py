@@ -68,7 +68,7 @@ class Shadows(Model):
 
     algorithm: Annotated[
         Literal["auto"] | AlgorithmName | dict[str, Any], Requests(spelt=Annotated[str, Field(max_length=200)])
-    ] = Field(default="auto", description="`auto`, a name, or `relief=NAME,forest=NAME,LIGHT=NAME`.", examples=["shadow_map"])
+    ] = Field(default="auto", description="`auto`, a name, or `relief=NAME,forest=NAME,LIGHT=NAME`.", examples=["auto"])
     max_error: Annotated[FiniteFloat, Requests(take=("select", "plans"))] = Field(
         default=0.03, ge=0, le=1, description="Error limit: share of the cast shadow that may be wrong.", examples=[0.03]
     )

@@ -70,7 +70,7 @@ def test_with_every_pixel_errors_are_those_of_the_metrics(gl, scene, name):
 def test_every_third_pixel_tells_the_error_of_all(gl, scene):
     """But for chance. Pixels three times as wide have less than half of it: their truth does not tell what lies near edges."""
     view = scene.view("eye").finer(4)
-    plan = plan_of(scene, view, algorithm="shadow_map", map_size=256, filter=1, cascades=1)
+    plan = plan_of(scene, view, algorithm="shadow_map", map_size=160, filter=1, cascades=1)
     found, real = {}, truth_of_view(scene, view, "sun")
     for every in (1, 3):
         subsampled = subsampled_truth(real, every)
