@@ -86,7 +86,7 @@ def test_options_change_the_plan_and_are_named_in_it(gl, run):
         (("--max-error", "-0.01"), ("max_error", "greater than or equal to 0")),
         (("--max-error", "2"), ("max_error", "2.0", "less than or equal to 1")),
         (("--max-ms", "-3"), ("max_ms", "-3.0", "greater than 0")),
-        (("--max-ms", "soon"), ("--max-ms", "number")),
+        (("--max-ms", "soon"), ("--max-ms",)),
         (("--cascades", "5"), ("cascades", "5")),
         (("--algorithm", "magic"), ("--algorithm", "magic", "sweep")),
         (("--algorithm", "planar"), ("algorithm", "planar", "not flat")),
