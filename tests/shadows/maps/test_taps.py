@@ -62,7 +62,7 @@ def test_leaves_speak_for_one_tap_and_relief_for_nothing():
 
 
 @pytest.mark.parametrize(("level", "view", "map_size", "taps"), [
-    ("jacksboro_wooded", "village", 4096, 1), ("thesis_boxgrid_sun", "close", 1024, 3), ("thesis_street_sun", "main", 1024, 1),
+    ("jacksboro_wooded", "village", 4096, 1), ("thesis_boxgrid_sun", "close", 1024, 3), ("thesis_rocks_sun", "main", 1024, 1),
     ("thesis_street_sun", "main", 4096, 3),
 ])  # fmt: skip
 def test_bundled_levels_take_what_is_nearer_to_the_disc(level, view, map_size, taps):
