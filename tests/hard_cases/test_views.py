@@ -48,6 +48,8 @@ def figures(trial: Trial, seen: dict[str, Seen]) -> dict[str, float]:
     "Whatever the size, the field of view and the height of the eye, the picture is finite and right",
     "1 x 1 and 4096 x 1 pixels, 0.01 and 179 degrees, an eye 0.1 m and 500 km up; maps of 4096 x 1 and 1 x 1 pixels",
     {"interior": 0, "pixels that are no number": 0},
+    # From 500 km one pixel of the ground, within a texel of the foot of a lit wall: the texel's middle is on the wall.
+    falls_short={("shadow_map", "interior"): 2.8e-5},
 )
 def test_sizes_and_angles(trial: Trial) -> dict[str, float]:
     long = 16384 if trial.thorough else 512
