@@ -6,6 +6,7 @@ wrong is told by its place, as ``facts.haze.visibility_m``.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
@@ -24,6 +25,9 @@ MAX_BANDS = 64
 LEAST_EXTENT_M = 1e-6
 """Of what is seen, in light space: maps of nothing have no texels."""
 
+LEAST_SIZE, MOST_SIZE = 1e-12, 1e15
+"""Of a number that is neither 0 nor an infinity: with smaller and larger ones arithmetic ends in them."""
+
 MAX_NAME = 200
 """Characters of a name, or of a reason."""
 
@@ -31,6 +35,15 @@ MAX_NAME = 200
 def _infinite(number: object) -> object:
     """JSON has no infinity: there it is written as text."""
     return {"Infinity": np.inf, "-Infinity": -np.inf}.get(number, number) if isinstance(number, str) else number
+
+
+def _numbers(data: object, place: str = "") -> Iterator[tuple[str, float | int]]:
+    """Every number of what JSON holds, and where it stands."""
+    if isinstance(data, float | int) and not isinstance(data, bool):
+        yield place, data
+    elif isinstance(data, dict | list | tuple):
+        for key, each in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from _numbers(each, f"{place}.{key}" if place else str(key))
 
 
 FactNumber = Annotated[float, BeforeValidator(_infinite), Field(strict=True, ge=-np.inf)]
@@ -141,6 +154,15 @@ class SentDescriptor(Descriptor):
     lights: Annotated[dict[str, LightFacts], Field(max_length=MAX_LAMPS + 1)] = {}
     bands: Annotated[tuple[Band, ...], Field(max_length=MAX_BANDS)] = ()
     facts: FactsByEffect = FactsByEffect()  # type: ignore[assignment]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_a_size(cls, data: object) -> object:
+        for place, number in _numbers(data):
+            if number and number == number and abs(number) != np.inf and not LEAST_SIZE <= abs(number) <= MOST_SIZE:
+                told = {"place": place[:MAX_NAME], "least": f"{LEAST_SIZE:g}", "most": f"{MOST_SIZE:g}"}
+                raise PydanticCustomError("size", "{place} of 0, or of {least} to {most} in size", told)
+        return data
 
     @model_validator(mode="after")
     def _bounded(self) -> SentDescriptor:

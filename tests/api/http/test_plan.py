@@ -197,6 +197,14 @@ def test_bodies_that_are_no_descriptor(client: Client, body: bytes, parameter: s
     check_problem(answer, 422, "invalid_parameter", parameter)
 
 
+@pytest.mark.parametrize("number", [5e-324, 1e-13, 3.5e307, -1e16, 10**400], ids=str)
+def test_numbers_of_no_scene_are_refused_by_their_place(client: Client, facts: dict, number: float):
+    """Arithmetic with them ended in infinities, and a plan of them in an error of ours."""
+    answer = client.post("/plan", json={**facts, "pixel_m": number})
+    check_problem(answer, 422, "invalid_parameter", "body")
+    assert "pixel_m" in answer.json()["detail"]
+
+
 def test_a_missing_fact_is_named(client: Client, facts: dict):
     check_problem(
         client.post("/plan", json={key: facts[key] for key in facts if key != "node_m"}), 422, "invalid_parameter", "node_m"
