@@ -61,7 +61,7 @@ from terrain.cache import MIB, Cache, Missing
 from terrain.casters.slopes import extent_on_grid
 from terrain.compiled import why_not_kept
 from terrain.describe import describe
-from terrain.errors import Fault, GraphicsError, InputError, NoOpenGLError, RenderError, SkuggaError
+from terrain.errors import Fault, GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
@@ -360,13 +360,6 @@ def _answer(job: Job, state: WorkerState) -> Answer:
     except SkuggaError as error:
         in_doubt = isinstance(error, GraphicsError) and not isinstance(error, NoOpenGLError)
         return Failure.of(error, fatal=in_doubt)
-    except ArithmeticError as error:
-        log.exception("a job's arithmetic failed")
-        if isinstance(job, DescribedPlanJob):  # numbers that no scene has together
-            return Failure.of(
-                InputError("body", Fault("its numbers do not fit together"), "facts as of a level's descriptor"), fatal=False
-            )
-        return Failure.of(RenderError(f"{type(error).__name__}: {error}"), fatal=True)
     except Exception as error:  # a bug, or a driver's own exception: the job fails, and the process with it
         log.exception("a job failed unexpectedly")
         fatal = not isinstance(job, DescribedPlanJob)  # arithmetic on what a client sent leaves nothing behind in OpenGL
