@@ -5,7 +5,8 @@
     python -m benchmarks.selection describe DATA [--folder build/selection]   descriptors, and what planning takes
     python -m benchmarks.selection keep [--folder build/selection]            write it all to benchmarks/selection/selection.jsonl
     python -m benchmarks.selection fit                                        write selector/cost/error_model.json from there
-    python -m benchmarks.selection judge [--write]                            print the tables of docs/selection.md, or write them
+    python -m benchmarks.selection judge [--write]                            print the tables of docs/selection.md, or write them,
+                                                                              and what accuracy costs into README and docs
 
 Each goes on where it stopped; `time DATA` times all rows anew, `--again` does again what is done. DATA is the folder of sample
 rasters. The device must be calibrated (`skugga calibrate`).
@@ -19,6 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from benchmarks.selection.cost_of_accuracy import write_cost_of_accuracy
 from benchmarks.selection.fit import cases_of, fit_model
 from benchmarks.selection.measure import chosen, measured, redescribed, timed
 from benchmarks.selection.page import page, with_tables
@@ -65,10 +67,12 @@ def main() -> None:
         rounded = {key: _rounded(value) for key, value in model.model_dump(mode="json").items()}
         MODEL.write_text(json.dumps(rounded, indent=2) + "\n", encoding="utf-8")
     else:
-        text = page(*read_table())
+        views, profile = read_table()
+        text = page(views, profile)
         print(text)
         if args.write:
             PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), text), encoding="utf-8")
+            write_cost_of_accuracy(views)
 
 
 def _go_on(what: str, data: Path, folder: Path, only: list[str], again: bool) -> None:

@@ -54,6 +54,9 @@ DRAWN_BACK = 0.1
 TOLD = 5e-4
 """From this share of wrong pixels on it is told how many of them lie inside."""
 
+MOST_EXPONENT = 700.0
+"""Of the natural exponential function that float64 holds."""
+
 LADDER = np.log2(TEXEL_LADDER_PX)
 
 
@@ -168,7 +171,9 @@ class _Terms:
         differs = first + (second - first) * (ladder_index - low)
         differs = np.where(texel <= TEXEL_LADDER_PX[0], self._differs[:, 0] * texel / TEXEL_LADDER_PX[0], differs)
         most, half, steepness = counts[self._kind].T
-        counted = most / (1.0 + (half / np.maximum(texel, 1e-9)) ** steepness)
+        # A search tries steep curves, whose powers would overflow.
+        powers = np.exp(np.minimum(steepness * np.log(half / np.maximum(texel, 1e-9)), MOST_EXPONENT))
+        counted = most / (1.0 + powers)
         total = np.bincount(self._of, self._share * differs * counted, minlength=self._count)
         return np.minimum(total + self._maps @ floors, 1.0)
 

@@ -166,7 +166,7 @@ def test_a_changed_calibration_changes_what_is_taken_of_a_view_that_was_measured
     def taken(scale: Callable[[str, str], float]) -> str:
         return planned(of(view), device(scale, own.rates_ns), errors=None, max_error=0.01).algorithm["lamp"]["meshes"]
 
-    assert taken(lambda part, name: 1.0) == "perspective_shadow_map"
+    assert taken(lambda part, name: 1.0) == "shadow_map"
     assert taken(lambda part, name: 50.0 if " map" in part or "_map" in part else 1.0) == "shadow_volume"
     assert taken(lambda part, name: 0.01 if part.startswith(("silhouettes", "counting")) else 1.0) == "shadow_volume"
 

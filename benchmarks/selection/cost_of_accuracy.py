@@ -1,0 +1,181 @@
+"""What accuracy costs in time, over all measured views: the sentence of the first page, its table and its figure.
+
+Of each view the cheapest plan that meets a target, by the judge's rule (``benchmarks.selection.judge``), is held against the
+cheapest that meets the loosest one. Views in which nothing meets both say nothing of the price, and are counted apart.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from benchmarks.selection.judge import GOALS, Goal, instances_of
+
+LOOSE, *FINER = [goal for goal in GOALS if goal.within is None]
+"""The goal that prices are multiples of, and those that are priced."""
+
+ROOT = Path(__file__).parents[2]
+
+README, PAGE, FIGURE = ROOT / "README.md", ROOT / "docs" / "accuracy.md", ROOT / "docs" / "images" / "cost-of-accuracy.svg"
+
+MARK = "cost of accuracy"
+
+INK, GRID, SHADES = "#333333", "#E4E4E4", ("#9CC3E6", "#3D87C4", "#0B3C68")
+"""Of a figure: lighter is looser."""
+
+LEAST_VIEWS = 2
+"""Of fewer views a median says nothing."""
+
+Figures = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Price:
+    """What a goal costs in some views: the cheapest plans' times as multiples of the loosest goal's, of the views in which both can
+    be met; and how many views there are with anything to choose in.
+    """
+
+    goal: Goal
+    ratios: np.ndarray
+    views: int
+
+    @property
+    def median(self) -> float:
+        return float(np.median(self.ratios)) if self.ratios.size else np.nan
+
+    @property
+    def p90(self) -> float:
+        return float(np.quantile(self.ratios, 0.9)) if self.ratios.size else np.nan
+
+
+def cheapest_ms(view: Figures) -> dict[str, float]:
+    """By goal the milliseconds of the cheapest plan that meets it; goals that nothing meets are not in it."""
+    found = {}
+    for one in instances_of([view], [LOOSE, *FINER]):
+        met = [row["ms"] for name, row in one.rows.items() if one.meets(name)]
+        if met:
+            found[one.goal.name] = min(met)
+    return found
+
+
+def prices(views: Sequence[Figures]) -> list[Price]:
+    """Of each finer goal, over views."""
+    cheapest = [cheapest_ms(view) for view in views]
+    found = []
+    for goal in FINER:
+        ratios = [ms[goal.name] / ms[LOOSE.name] for ms in cheapest if LOOSE.name in ms and goal.name in ms]
+        found.append(Price(goal, np.array(sorted(ratios)), len(views)))
+    return found
+
+
+def families(views: Sequence[Figures]) -> dict[str, list[Figures]]:
+    """Views by kind of scene."""
+    found: dict[str, list[Figures]] = {}
+    for view in views:
+        found.setdefault(view["family"], []).append(view)
+    return found
+
+
+def sentence(views: Sequence[Figures]) -> str:
+    """What accuracy costs in time."""
+    finest = prices(views)[-1]
+    return (
+        f"**What accuracy costs:** the fastest shadows of which at most {finest.goal.name} is wrong take {finest.median:.1f} times "
+        f"as long as the fastest of which at most {LOOSE.name} is wrong in the median view, and more than {finest.p90:.1f} times "
+        f"in one view of ten ({len(finest.ratios)} of {finest.views} measured views; in the others no plan meets both)."
+    )
+
+
+def table(views: Sequence[Figures]) -> str:
+    """Median and 90th percentile of the prices by kind of scene, as Markdown."""
+    lines = [
+        f"| kind of scene | views | {' | '.join(f'{goal.name}: median, 90th percentile (views)' for goal in FINER)} |",
+        "| --- | --- |" + " --- |" * len(FINER),
+    ]
+    for name, its in [*families(views).items(), ("all", list(views))]:
+        cells = [f"{p.median:.2f}, {p.p90:.2f} ({len(p.ratios)})" if p.ratios.size else "none meets both" for p in prices(its)]
+        lines.append(f"| {name} | {len(its)} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def with_part(text: str, part: str) -> str:
+    """A page with what stands between its marks replaced."""
+    start, end = f"<!-- {MARK} -->\n", f"<!-- end of {MARK} -->\n"
+    if not (start in text and end in text):
+        raise ValueError(f"the page has no {start.strip()} and {end.strip()}")
+    return re.sub(f"{re.escape(start)}.*?{re.escape(end)}", lambda _: start + part + end, text, count=1, flags=re.DOTALL)
+
+
+def wrapped(text: str, width: int = 132) -> str:
+    """Lines of a paragraph."""
+    lines = [""]
+    for word in text.split():
+        if lines[-1] and len(lines[-1]) + 1 + len(word) > width:
+            lines.append("")
+        lines[-1] += (" " if lines[-1] else "") + word
+    return "\n".join(lines) + "\n"
+
+
+def figure_svg(views: Sequence[Figures]) -> str:
+    """The figure: of each kind of scene and goal every view a point, medians as bars; to the right it costs more time."""
+    kinds = [*families(views).items(), ("all", list(views))]
+    style = {"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK, "svg.hashsalt": "skugga"}
+    with mpl.rc_context(style):
+        figure = Figure(figsize=(9.4, 0.62 * len(kinds) + 1.5), layout="constrained")
+        axes = figure.subplots()
+        for row, (_, its) in enumerate(kinds):
+            _strip(axes, row, prices(its))
+        _dressed(axes, [name for name, _ in kinds])
+        out = io.StringIO()
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    return "\n".join(line.rstrip() for line in out.getvalue().splitlines()) + "\n"
+
+
+def write_cost_of_accuracy(views: Sequence[Figures]) -> None:
+    """Write the sentence into README and the page on accuracy, there with the table, and draw the figure."""
+    said = wrapped(sentence(views))
+    for path, part in ((README, said), (PAGE, f"{said}\n{table(views)}")):
+        path.write_text(with_part(path.read_text(encoding="utf-8"), part), encoding="utf-8")
+    FIGURE.write_text(figure_svg(views), encoding="utf-8")
+
+
+def _strip(axes: Axes, row: int, its: Sequence[Price]) -> None:
+    """The points of a kind of scene, a line for each goal."""
+    for number, (price, colour) in enumerate(zip(its, SHADES, strict=True)):
+        y = row + 0.24 * (number - 1)
+        axes.plot(price.ratios, np.full(len(price.ratios), y), ".", color=colour, markersize=7, alpha=0.6, markeredgewidth=0)
+        if len(price.ratios) >= LEAST_VIEWS:
+            axes.plot([price.median] * 2, [y - 0.1, y + 0.1], color=colour, linewidth=3.2, solid_capstyle="butt")
+            axes.plot([price.median, price.p90], [y, y], color=colour, linewidth=1.2)
+
+
+def _dressed(axes: Axes, names: Sequence[str]) -> None:
+    axes.set(xscale="log", ylim=(len(names) - 0.5, -0.5), yticks=range(len(names)), yticklabels=names)
+    ticks = [tick for tick in (1, 2, 5, 10, 20, 50, 100) if tick <= 1.4 * axes.get_xlim()[1]]
+    axes.xaxis.set_major_locator(FixedLocator(ticks))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g} x"))
+    axes.set_xlabel(f"time of the fastest plan, as a multiple of that for {LOOSE.name} (bar: median, line: to the 90th percentile)")
+    axes.axvline(1.0, color=INK, linewidth=0.8)
+    axes.axhline(len(names) - 1.5, color=INK, linewidth=0.8)
+    axes.grid(axis="x", color=GRID)
+    axes.set_axisbelow(True)
+    axes.tick_params(axis="y", length=0)
+    for side in ("top", "right", "left"):
+        axes.spines[side].set_visible(False)
+    for goal, colour in zip(FINER, SHADES, strict=True):
+        axes.plot([], [], color=colour, linewidth=3.2, label=goal.name)
+    axes.figure.legend(
+        loc="outside upper right", ncols=len(FINER), frameon=False, handlelength=1.2, title="of the cast shadow wrong, at most"
+    )
+    axes.set_title("What accuracy costs in time", loc="left", fontsize=13)
