@@ -8,11 +8,12 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from api.report.report import LEFT_OUT, write_report, write_scatter
+from api.report.report import LEFT_OUT, MAX_PAGE_BYTES, write_report, write_scatter
 from api.report.summary import format_summary
 from selector.measure.compare import Comparison, ComparisonRow, false_colours
 from selector.planner.planner import make_plan
@@ -83,15 +84,27 @@ def write(scene: Scene, comparison: Comparison, folder: Path, view: str, again: 
     """``report.html``, its scatter alone as ``scatter.svg``, and one PNG a row: its false shadow red, its missed shadow blue;
     ``again`` as in ``show``.
     """
-    plan = make_plan(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": NO_SHADOWS})
-    base = render_frame(scene, comparison.view, plan).color
-    about = _about(scene, comparison, view)
-    write_report(folder / "report.html", comparison, base, about, commands_of_left_out(comparison, again))
-    title = [f"{scene.loaded.name}, {view}", f"{about['light']}; {about['size']}; {about['device']}"]
-    write_scatter(folder / "scatter.svg", comparison, title)
+    base = write_page(scene, comparison, folder / "report.html", view, again)
+    write_plot(scene, comparison, folder / "scatter.svg", view)
     for row in comparison.rows:
         with replaced_whole(folder / f"{row.figures['name']}.png") as part:
             Image.fromarray(false_colours(base.mean(axis=2), row)).save(part)
+
+
+def write_page(
+    scene: Scene, comparison: Comparison, path: Path, view: str, again: str, most_bytes: int = MAX_PAGE_BYTES
+) -> np.ndarray:
+    """The report alone, of at most ``most_bytes``; returns the view without cast shadows, uint8 (rows, cols, 3)."""
+    plan = make_plan(describe(scene, comparison.view, view), scene.loaded.level, {"algorithm": NO_SHADOWS})
+    base = render_frame(scene, comparison.view, plan).color
+    write_report(path, comparison, base, about(scene, comparison, view), commands_of_left_out(comparison, again), most_bytes)
+    return base
+
+
+def write_plot(scene: Scene, comparison: Comparison, path: Path, view: str) -> None:
+    """The report's scatter alone, as an SVG file."""
+    said = about(scene, comparison, view)
+    write_scatter(path, comparison, [f"{scene.loaded.name}, {view}", f"{said['light']}; {said['size']}; {said['device']}"])
 
 
 def commands_of_left_out(comparison: Comparison, again: str) -> list[str]:
@@ -99,14 +112,14 @@ def commands_of_left_out(comparison: Comparison, again: str) -> list[str]:
     return [f"{again} --only {shlex.quote(name)}" for name in comparison.left_out]
 
 
-def _about(scene: Scene, comparison: Comparison, view: str) -> dict[str, str]:
+def about(scene: Scene, comparison: Comparison, view: str) -> dict[str, str]:
     """What was compared, and on what."""
     loaded, gl = scene.loaded, device()
     light = comparison.light
     if light == SUN and scene.sun is not None:
         light = f"the sun, azimuth {scene.sun.azimuth_deg:.1f}°, altitude {scene.sun.altitude_deg:.1f}°"
     return {
-        "level": f"{loaded.name}: {loaded.level.title}" if loaded.level.title else loaded.name,
+        "level": f"{loaded.name}: {loaded.level.title}" if loaded.level.title not in ("", loaded.name) else loaded.name,
         "view": view,
         "size": f"{comparison.view.cols} x {comparison.view.rows} pixels",
         "light": light,

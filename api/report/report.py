@@ -14,7 +14,7 @@ import numpy as np
 
 from api.report.page.bars import bars, bars_legend, too_long
 from api.report.page.markup import breakable, definitions, script_json, tag
-from api.report.page.pictures import GRAY_LEVELS, ErrorPicture, Pictures, palette, report_pictures
+from api.report.page.pictures import ErrorPicture, Pictures, palette, report_pictures
 from api.report.page.scatter import legend, scatter_plot, still
 from api.report.page.table import GLOSSARY, rows_table
 from api.report.summary import FLOORS, RowFigures, casts, format_summary, on_front
@@ -39,19 +39,26 @@ _COLOURS = {
 }
 
 
-def write_report(path: Path, comparison: Comparison, base: np.ndarray, about: dict[str, str], commands: Sequence[str] = ()) -> None:
+def write_report(
+    path: Path,
+    comparison: Comparison,
+    base: np.ndarray,
+    about: dict[str, str],
+    commands: Sequence[str] = (),
+    most_bytes: int = MAX_PAGE_BYTES,
+) -> None:
     """Write the page of a comparison.
 
     ``base`` is the view without cast shadows, uint8 (rows, cols, 3); ``about`` is what the page says of the run, in order; its
-    first two values are the title; ``commands`` are the command lines of the rows that were left out. The same input gives the
-    same page, byte for byte.
+    first two values are the title; ``commands`` are the command lines of the rows that were left out; pictures are made small
+    enough for a page of at most ``most_bytes``. The same input gives the same page, byte for byte.
 
     Raises
     ------
     OSError
         If the file cannot be written.
     """
-    write_whole(path, report_html(comparison, base, about, commands))
+    write_whole(path, report_html(comparison, base, about, commands, most_bytes))
 
 
 def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
@@ -59,7 +66,13 @@ def write_scatter(path: Path, comparison: Comparison, title: list[str]) -> None:
     write_whole(path, still(comparison, title, _part("report.css")))
 
 
-def report_html(comparison: Comparison, base: np.ndarray, about: dict[str, str], commands: Sequence[str] = ()) -> str:
+def report_html(
+    comparison: Comparison,
+    base: np.ndarray,
+    about: dict[str, str],
+    commands: Sequence[str] = (),
+    most_bytes: int = MAX_PAGE_BYTES,
+) -> str:
     """The page as text; see ``write_report``."""
     style, script = _part("report.css"), _part("report.js")
     parts = {
@@ -86,7 +99,7 @@ def report_html(comparison: Comparison, base: np.ndarray, about: dict[str, str],
     if not comparison.rows:
         return Template(_part("report.html")).substitute(parts, results="", data="")
     results = _results(comparison)
-    spare = MAX_PAGE_BYTES - sum(len(text.encode()) for text in (*parts.values(), *results.values())) - 20_000
+    spare = most_bytes - sum(len(text.encode()) for text in (*parts.values(), *results.values())) - 20_000
     drawn = report_pictures(base, _errors(comparison), spare)
     results |= {"thumbs": _thumbs(comparison, drawn), "shrunk": _shrunk(drawn)}
     return Template(_part("report.html")).substitute(
@@ -120,6 +133,7 @@ def _left_out(commands: Sequence[str]) -> list[str]:
 
 def _shares(comparison: Comparison) -> dict[str, str]:
     return {
+        "cast shadow": f"{format_percent(comparison.cast)} of the surface, by truth",
         "boundary": f"{format_percent(comparison.boundary)} of the surface: no error is counted there, for "
         "truth itself is not certain",
         "drawn grid": f"{format_percent(comparison.surface)} of the surface differs between the drawn grid and the full raster",
@@ -160,11 +174,12 @@ def _errors(comparison: Comparison) -> list[ErrorPicture]:
 
 
 def _shrunk(drawn: Pictures) -> str:
+    steps = f"Visibility is shown in {drawn.levels} steps."
     if drawn.factor == 1:
-        return "Pictures have the pixels of the view."
+        return f"Pictures have the pixels of the view. {steps}"
     return (
         f"So that this page stays small, each pixel of a picture stands for {drawn.factor} × {drawn.factor} of the view; "
-        "it is wrong if any of these is."
+        f"it is wrong if any of these is. {steps}"
     )
 
 
@@ -175,8 +190,8 @@ def _data(comparison: Comparison, drawn: Pictures) -> str:
     value = {
         "rows": drawn.rows,
         "cols": drawn.cols,
-        "levels": GRAY_LEVELS,
-        "palette": palette().tolist(),
+        "levels": drawn.levels,
+        "palette": palette(drawn.levels).tolist(),
         "ground": drawn.ground,
         "left": row_numbers[0],
         "right": row_numbers[-1],

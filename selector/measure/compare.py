@@ -59,10 +59,11 @@ class ComparisonRow:
 class Comparison:
     """All rows of a view, and what holds for all of them.
 
-    ``there`` (rows, cols) is where there is a surface, ``error`` the figure that counts, ``surface`` the share of pixels that the
-    drawn grid's simplification changes, ``noise_floor`` the ``error`` of truth's own sub-samples, ``remarks`` what a reader must
-    know (no surface, night, nothing casts), ``left_out`` the names of the candidates for which there was no time, ``default`` the
-    name of the row that is taken where nothing more is asked (empty: not among them).
+    ``there`` (rows, cols) is where there is a surface, ``error`` the figure that counts, ``cast`` the share of the surface in true
+    cast shadow, ``surface`` the share of pixels that the drawn grid's simplification changes, ``noise_floor`` the ``error`` of
+    truth's own sub-samples, ``remarks`` what a reader must know (no surface, night, nothing casts), ``left_out`` the names of the
+    candidates for which there was no time, ``default`` the name of the row that is taken where nothing more is asked (empty: not
+    among them).
     """
 
     view: View
@@ -71,6 +72,7 @@ class Comparison:
     there: np.ndarray
     error: ErrorName
     boundary: float
+    cast: float
     surface: float
     noise_floor: float
     remarks: list[str]
@@ -165,8 +167,8 @@ def compare(
     _mark_pareto(rows, view_truth.error)
     remarks = _remarks(scene, view_truth, rows)
     return Comparison(
-        view, light, rows, view_truth.whole.there, view_truth.error, view_truth.whole.boundary, surface, floor, remarks,
-        tuple(left_out), default,
+        view, light, rows, view_truth.whole.there, view_truth.error, view_truth.whole.boundary, view_truth.whole.cast, surface,
+        floor, remarks, tuple(left_out), default,
     )  # fmt: skip
 
 
@@ -308,7 +310,7 @@ def _remarks(scene: Scene, view_truth: ViewTruth, rows: list[ComparisonRow]) -> 
         remarks.append("the level has no light: everything is dark, whatever the algorithm")
     elif scene.light_names == (SUN,) and not scene.sun_is_up:
         remarks.append("the sun is down: everything is in shadow, whatever the algorithm")
-    elif not (truth.there & ~truth.attached & ~truth.lit).any():
+    elif truth.cast == 0.0:
         remarks.append(NO_CAST)
     elif not truth.lit.any():
         remarks.append("nothing is lit: only missed shadow can be measured")

@@ -72,6 +72,11 @@ class Truth:
         """Share of the surface's pixels that are not decidable; 0 without a surface."""
         return float(1.0 - self.decidable.sum() / self.there.sum()) if self.there.any() else 0.0
 
+    @property
+    def cast(self) -> float:
+        """Share of the surface's pixels in cast shadow (attached excluded); 0 without a surface."""
+        return float((self.there & ~self.attached & ~self.lit).sum() / self.there.sum()) if self.there.any() else 0.0
+
 
 def fill(
     buffer: GeometryBuffer,

@@ -14,10 +14,10 @@ from io import BytesIO
 import numpy as np
 from PIL import Image
 
-GRAY_LEVELS = 16
-"""Steps of visibility from dark to lit."""
+GRAY_LEVELS, FEW_GRAY_LEVELS = 16, 8
+"""Steps of visibility from dark to lit; and those taken where pictures would have to be shrunk otherwise."""
 CORRECT, FALSE_SHADOW, MISSED_SHADOW = range(3)
-"""Classes; a colour's index is its level of visibility + ``GRAY_LEVELS`` times its class."""
+"""Classes; a colour's index is its level of visibility + the number of levels times its class."""
 
 MAX_SIDE_PX = 4096
 """Of a larger picture browsers refuse to make a canvas."""
@@ -25,13 +25,16 @@ MAX_SIDE_PX = 4096
 
 @dataclass(frozen=True)
 class Pictures:
-    """``data:`` URIs of the ground and of each row: ``rows`` x ``cols`` pixels, each for ``factor`` x ``factor`` of the view."""
+    """``data:`` URIs of the ground and of each row: ``rows`` x ``cols`` pixels, each for ``factor`` x ``factor`` of the view, in
+    so many ``levels`` of visibility.
+    """
 
     ground: str
     of_rows: list[str]
     rows: int
     cols: int
     factor: int
+    levels: int
 
     @property
     def size(self) -> int:
@@ -49,44 +52,47 @@ class ErrorPicture:
 
 
 def report_pictures(ground: np.ndarray, rows: list[ErrorPicture], most: int) -> Pictures:
-    """Pictures of at most so many characters, shrunk by the least whole factor that does it.
+    """Pictures of at most so many characters, shrunk by the least whole factor that does it, in many levels if that is enough.
 
     ``ground`` is uint8 (rows, cols, 3). Visibility is averaged; a pixel that stands for a wrong one is wrong: none vanishes.
     """
     factor = -(-max(ground.shape[:2]) // MAX_SIDE_PX)
-    while (result := _at(ground, rows, factor, most)).size > most and factor < max(ground.shape[:2]):
+    while True:
+        for levels in (GRAY_LEVELS, FEW_GRAY_LEVELS):
+            result = _at(ground, rows, factor, levels, most)
+            if result.size <= most or factor >= max(ground.shape[:2]):
+                return result
         factor += 1
-    return result
 
 
-def indexes(row: ErrorPicture, factor: int = 1) -> np.ndarray:
+def indexes(row: ErrorPicture, factor: int = 1, levels: int = GRAY_LEVELS) -> np.ndarray:
     """The palette's indexes uint8 of a row's picture, shrunk by a whole factor."""
-    level = np.rint(_blocks(row.visibility, factor).mean(axis=(1, 3)) * ((GRAY_LEVELS - 1) / 255.0))
+    level = np.rint(_blocks(row.visibility, factor).mean(axis=(1, 3)) * ((levels - 1) / 255.0))
     false, missed = (_blocks(wrong, factor).sum(axis=(1, 3)) for wrong in (row.false_shadow, row.missed_shadow))
     wrong = np.where(missed > false, MISSED_SHADOW, np.where(false > 0, FALSE_SHADOW, CORRECT))
-    return (level + GRAY_LEVELS * wrong).astype(np.uint8)
+    return (level + levels * wrong).astype(np.uint8)
 
 
-def palette() -> np.ndarray:
-    """Colours uint8 (3 * LEVELS, 3): grays of visibility, then reds and blues too near one another for the eye to tell apart."""
-    level = np.arange(GRAY_LEVELS)
-    grays = np.repeat(np.rint(160 + level * (85 / (GRAY_LEVELS - 1)))[:, None], 3, axis=1)
+def palette(levels: int = GRAY_LEVELS) -> np.ndarray:
+    """Colours uint8 (3 * levels, 3): grays of visibility, then reds and blues too near one another for the eye to tell apart."""
+    level = np.arange(levels)
+    grays = np.repeat(np.rint(160 + level * (85 / (levels - 1)))[:, None], 3, axis=1)
     reds, blues = (np.array(colour) + level[:, None] * (0, 1, 0) for colour in ((214, 30, 30), (30, 70, 214)))
     return np.concatenate([grays, reds, blues]).astype(np.uint8)
 
 
-def _at(ground: np.ndarray, rows: list[ErrorPicture], factor: int, most: int) -> Pictures:
-    """The pictures at a factor, or as many of them as show that they are too big."""
+def _at(ground: np.ndarray, rows: list[ErrorPicture], factor: int, levels: int, most: int) -> Pictures:
+    """The pictures at a factor in some levels, or as many of them as show that they are too big."""
     small = np.rint(_blocks(ground, factor).mean(axis=(1, 3))).astype(np.uint8)
     ground_uri, of_rows = _webp(small, quality=80, method=4), []
     size = len(ground_uri)
     for row in rows:
-        of_rows.append(_webp(palette()[indexes(row, factor)], lossless=True, quality=25, method=3))
+        of_rows.append(_webp(palette(levels)[indexes(row, factor, levels)], lossless=True, quality=25, method=3))
         size += len(of_rows[-1])
         if size > most:
             break
     high, wide = small.shape[:2]
-    return Pictures(ground_uri, of_rows, high, wide, factor)
+    return Pictures(ground_uri, of_rows, high, wide, factor, levels)
 
 
 def _blocks(values: np.ndarray, factor: int) -> np.ndarray:

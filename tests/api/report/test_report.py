@@ -25,6 +25,7 @@ from api.report.page.marks import mark_of
 from api.report.page.pictures import (
     CORRECT,
     FALSE_SHADOW,
+    FEW_GRAY_LEVELS,
     GRAY_LEVELS,
     MISSED_SHADOW,
     ErrorPicture,
@@ -137,6 +138,11 @@ def test_the_policy_allows_its_own_style_and_script_alone(text: str) -> None:
         assert f"{name}-src 'sha256-{b64encode(sha256(inline.encode()).digest()).decode()}'" in policy
 
 
+def test_shares_that_hold_for_all_rows(text: str) -> None:
+    said = Page(text).text
+    assert "25 % of the surface, by truth" in said and "2.0 % of the surface: no error is counted there" in said
+
+
 def test_names_cannot_become_markup(text: str) -> None:
     page = Page(text)
     assert page.text.count(NASTY) >= 4, "title, level, name, note"
@@ -233,20 +239,23 @@ def test_forty_noisy_pictures_fit() -> None:
     assert whole.factor == 1 and len(whole.of_rows) == 40
     drawn = report_pictures(ground, rows, 400_000)
     assert drawn.size <= 400_000 < whole.size and 1 < drawn.factor < 8
+    fewer = report_pictures(ground, rows, whole.size - 1)
+    assert (fewer.factor, whole.levels, fewer.levels) == (1, GRAY_LEVELS, FEW_GRAY_LEVELS), "fewer grays before fewer pixels"
+    levels = indexes(rows[0], levels=FEW_GRAY_LEVELS)
+    assert np.array_equal(decoded(fewer.of_rows[0]), palette(FEW_GRAY_LEVELS)[levels])
     assert len(drawn.of_rows) == 40 and (drawn.rows, drawn.cols) == decoded(drawn.of_rows[0]).shape[:2]
 
 
-def test_a_page_keeps_its_size_and_says_that_pictures_are_shrunk(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_keeps_its_size_and_says_that_pictures_are_shrunk() -> None:
     rng = np.random.default_rng(4)
     view = PerspectiveView(np.zeros(3), np.eye(3), 10.0, -2.5, -3.5, 1.0, 400, 500)
     noise = rng.integers(0, 256, (400, 500), dtype=np.uint8)
     blank = comparison(*(figures(f"sweep-{k}", 1.0 + k, 0.1 / (1 + k)) for k in range(3)))
     made = [ComparisonRow(row.figures, noise, noise > 250, noise < 5) for row in blank.rows]
-    rows = Comparison(view, "sun", made, noise < 256, "wrong_cast", 0.0, 0.0, 0.0, [])
+    rows = Comparison(view, "sun", made, noise < 256, "wrong_cast", 0.0, 0.0, 0.0, 0.0, [])
     ground = rng.integers(0, 256, (400, 500, 3), dtype=np.uint8)
     assert "pixels of the view" in report_html(rows, ground, ABOUT)
-    monkeypatch.setattr("api.report.report.MAX_PAGE_BYTES", 200_000)
-    text = report_html(rows, ground, ABOUT)
+    text = report_html(rows, ground, ABOUT, most_bytes=200_000)
     assert len(text.encode()) < 200_000 < MAX_PAGE_BYTES
     assert "each pixel of a picture stands for" in text and data_of(text)["cols"] < 500
 

@@ -60,7 +60,7 @@ def comparison(*rows: dict[str, Any], **more: Any) -> Comparison:
     lit[:, COLS // 2 :] = dark[:, COLS // 2 :]
     nowhere = np.zeros((ROWS, COLS), bool)
     made = [ComparisonRow(f, np.full_like(lit, 255) if f["name"] == "none" else lit, nowhere.copy(), nowhere.copy()) for f in rows]
-    whole = Comparison(VIEW, "sun", made, ~nowhere, "wrong_cast", 0.02, 0.001, 0.0, [])
+    whole = Comparison(VIEW, "sun", made, ~nowhere, "wrong_cast", 0.02, 0.25, 0.001, 0.0, [])
     return replace(whole, **more)
 
 

@@ -59,6 +59,13 @@ def test_boundary_pixels_do_not_count():
     assert found.boundary == pytest.approx(2 / 10)
 
 
+def test_the_share_in_cast_shadow_is_of_the_surface_and_leaves_out_what_is_turned_away():
+    """Of eight pixels that show a surface three are in shadow, one of them attached; none of what is off it counts."""
+    real = truth(strip("1111100000"), attached=strip("0000000100"), there=strip("1111111100"))
+    assert real.cast == 2 / 8
+    assert truth(strip("00"), there=strip("00")).cast == 0.0
+
+
 def test_visibility_of_one_half_is_lit():
     assert errors_of(np.array([[0.5, 0.49]]), truth([[1, 0]]), 1.0).wrong == 0.0
 
