@@ -76,10 +76,14 @@ class GoalInstance:
         least = max(min(found.values()), 1e-12)
         return {name: value / least for name, value in found.items()}
 
+    @property
+    def cheapest(self) -> str | None:
+        """The quickest row that meets the target; ``None`` where none does."""
+        return min(filter(self.meets, self.rows), key=lambda name: self.rows[name]["ms"], default=None)
+
     def share_of_best(self, ms: float) -> float:
         """Milliseconds as a multiple of those of the quickest row that meets the target; 0 where none does."""
-        met = [row["ms"] for name, row in self.rows.items() if self.meets(name)]
-        return ms / min(met) if met else 0.0
+        return ms / self.rows[self.cheapest]["ms"] if self.cheapest is not None else 0.0
 
     def _overshoot(self, name: str) -> float:
         row = self.rows[name]

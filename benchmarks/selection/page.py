@@ -76,7 +76,7 @@ def _what(views: Sequence[Figures]) -> str:
             f"kept to the limit in {kept} of the views, and were {most} late at most."
         )
     text += "\n\n"
-    return text + _table(["family", "views", "terrains", "plans measured"], [*rows, total_row])
+    return text + markdown_table(["family", "views", "terrains", "plans measured"], [*rows, total_row])
 
 
 def _policies(views: Sequence[Figures], made: Split) -> str:
@@ -105,7 +105,7 @@ def _policies(views: Sequence[Figures], made: Split) -> str:
     own = [ratio(planned[policy].regret) if policy in planned else "" for policy in found]
     rows.append(["relative regret with the time of planning, mean", "", *own, "", ""])
     often = f"`{best}` in {made.best[best]} of {sum(made.best.values())} parts"
-    return f"\n**{made.name[0].upper()}{made.name[1:]}.** The single best is {often}.\n\n" + _table(heads, rows)
+    return f"\n**{made.name[0].upper()}{made.name[1:]}.** The single best is {often}.\n\n" + markdown_table(heads, rows)
 
 
 def _parts(views: Sequence[Figures], made: Split) -> str:
@@ -123,7 +123,7 @@ def _parts(views: Sequence[Figures], made: Split) -> str:
 
     rows = [[name, *(met(policy, part) for policy in made.taken)] for name, part in parts.items()]
     text = "\nTargets met of those that some plan meets (held-out views), by target, and by family without the limit of time:\n\n"
-    return text + _table(["target or family", *made.taken], rows)
+    return text + markdown_table(["target or family", *made.taken], rows)
 
 
 def _gap(its: PolicyScore) -> str:
@@ -136,7 +136,8 @@ def _worst(views: Sequence[Figures], made: Sequence[Split]) -> str:
         for policy in made[0].taken
         for view, goal, row_name, regret in policy_score(views, made[0], policy).worst
     ]
-    return "\nThe worst choices (held-out views):\n\n" + _table(["policy", "view", "target", "taken", "relative regret"], rows)
+    heads = ["policy", "view", "target", "taken", "relative regret"]
+    return "\nThe worst choices (held-out views):\n\n" + markdown_table(heads, rows)
 
 
 def _marginal(views: Sequence[Figures]) -> str:
@@ -146,7 +147,7 @@ def _marginal(views: Sequence[Figures]) -> str:
         wins = [one for one in instances if name in one.rows[min(one.losses(), key=one.losses().__getitem__)]["algorithms"]]
         where = f"{wins[0].view['name']}, {wins[0].goal.name}" if wins else "nowhere"
         rows.append([ALGORITHM_TITLES[name], f"{gain:.3f}", format_percent(share), where])
-    return "\nWhat each algorithm adds to the virtual best:\n\n" + _table(
+    return "\nWhat each algorithm adds to the virtual best:\n\n" + markdown_table(
         ["algorithm", "mean loss more without it", "takes part in the best", "for example"], rows
     )
 
@@ -162,13 +163,14 @@ def _times(views: Sequence[Figures], device: DeviceProfile) -> str:
     rows.append(["all", len(off), format_percent(float(np.median(np.abs(off)))), f"{100.0 * np.median(off):+.0f} %"])
     plan_ms = [view["plan_ms"] for view in views]
     text = "\nExpected times against those measured; none of these scenes is among those that the device is calibrated with:\n\n"
-    text += _table(["plans with", "number", "median error", "median bias"], rows)
+    text += markdown_table(["plans with", "number", "median error", "median bias"], rows)
     return text + (
         f"\nDescribing a warm scene and choosing takes {np.median(plan_ms):.0f} ms in the median,"
         f"\n{np.quantile(plan_ms, 0.9):.0f} ms in nine of ten views and {max(plan_ms):.0f} ms at most.\n\n"
     )
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+def markdown_table(heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """A table in Markdown, lines ended."""
     lines = [list(map(str, heads)), ["---"] * len(heads), *(list(map(str, row)) for row in rows)]
     return "".join("| " + " | ".join(line) + " |\n" for line in lines)

@@ -1,0 +1,84 @@
+"""The published reports of `skugga compare` (docs/compare), and the page that holds them beside one another (docs/comparisons.md).
+
+    python -m benchmarks.reports DATA [--only NAME ...] [--time-limit S]     twelve minutes on two cores, for all
+    python -m benchmarks.reports --write-only                                the page again, of the figures that are kept
+
+DATA is the folder of sample rasters. Each scene is compared in a process of its own: where one fails, that is told, and the others
+are made. Figures are kept scene by scene (reports.json), so that ``--only`` makes one anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from benchmarks.reports.measure import measured
+from benchmarks.reports.page import IN_README, comparisons, readme_figure
+from benchmarks.reports.scenes import SCENES
+from benchmarks.selection.page import with_tables
+
+ROOT = Path(__file__).parents[2]
+KEPT = Path(__file__).with_name("reports.json")
+PAGE, README = ROOT / "docs" / "comparisons.md", ROOT / "README.md"
+REPORTS, PLOTS = ROOT / "docs" / "compare", ROOT / "docs" / "images"
+
+
+def kept() -> dict[str, dict[str, Any]]:
+    """The record of each scene that was compared, in order."""
+    found = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
+    return {name: found[name] for name in SCENES if name in found}
+
+
+def write_pages() -> None:
+    """The page, and the README's figure, of what is kept."""
+    records = kept()
+    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), comparisons(records)), encoding="utf-8")
+    if IN_README in records:
+        README.write_text(with_tables(README.read_text(encoding="utf-8"), readme_figure(records)), encoding="utf-8")
+
+
+def make(name: str, data: Path, time_limit_s: float | None) -> None:
+    """A scene's report, plot and figures."""
+    made = measured(SCENES[name], data, REPORTS / f"{name}.html", PLOTS / f"compare-{name}.svg", time_limit_s)
+    KEPT.write_text(json.dumps(kept() | {name: made}, indent=1) + "\n", encoding="utf-8")
+    print(f"{name}: {len(made['rows'])} rows, {len(made['left_out'])} left out, {made['took_s']} s", flush=True)
+
+
+def make_all(names: list[str], options: list[str]) -> list[str]:
+    """Each scene in a process of its own; returns the names of those that failed."""
+    failed = []
+    for name in names:
+        status = subprocess.run([sys.executable, "-m", "benchmarks.reports", *options, "--only", name], check=False).returncode
+        if status:
+            print(f"{name}: failed, exit status {status}", file=sys.stderr, flush=True)
+            failed.append(name)
+    return failed
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path, nargs="?", help="the folder of sample rasters")
+    parser.add_argument("--only", nargs="+", choices=SCENES, default=list(SCENES), metavar="NAME", help=", ".join(SCENES))
+    parser.add_argument("--time-limit", type=float, metavar="S", help="of each scene, seconds; default: its own")
+    parser.add_argument("--write-only", action="store_true")
+    args = parser.parse_args()
+    if args.write_only:
+        write_pages()
+        return
+    if args.data is None:
+        parser.error("DATA is needed: the folder of sample rasters")
+    if len(args.only) == 1:
+        make(args.only[0], args.data, args.time_limit)
+        write_pages()
+        return
+    limit = [] if args.time_limit is None else ["--time-limit", f"{args.time_limit:g}"]
+    if failed := make_all(args.only, [str(args.data), *limit]):
+        raise SystemExit(f"failed: {', '.join(failed)}; again: python -m benchmarks.reports DATA --only {' '.join(failed)}")
+
+
+if __name__ == "__main__":
+    main()

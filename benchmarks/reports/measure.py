@@ -1,0 +1,77 @@
+"""One scene's comparison: its report, its plot, and the figures that the page says of it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from api.catalogue import find_level
+from api.cli.snapshot import scene_and_view
+from api.report.comparison import about, write_page, write_plot
+from api.report.summary import casts, format_summary
+from benchmarks.reports.scenes import ReportScene
+from selector.measure.compare import Comparison, compare
+from terrain.level.parts import SunSpec
+from terrain.whole_files import write_whole
+
+MOST_BYTES = 1_000_000
+"""Of a published report."""
+
+Figures = dict[str, Any]
+
+ROW_KEYS = ("wrong_cast", "coverage", "soft_error", "interior", "cold", "pareto", "pareto_soft")
+"""What is kept of a row, beside its time and its name."""
+
+
+def measured(scene: ReportScene, data: Path, report: Path, plot: Path, time_limit_s: float | None = None) -> Figures:
+    """Compare, write the report and the plot, and return the record that is kept. Raises ``RuntimeError`` for a report that is
+    too large, which is not written.
+    """
+    load, start = os.getloadavg()[0], time.perf_counter()
+    sun = None if scene.sun is None else SunSpec(azimuth=scene.sun[0], altitude=scene.sun[1])
+    opened, view = scene_and_view(find_level(scene.level_path(data)), scene.view, sun, scene.size, scene.bounds)
+    limit_s = scene.time_limit_s if time_limit_s is None else time_limit_s
+    comparison = compare(opened, view, scene.view, time_limit_s=limit_s)
+    took_s = time.perf_counter() - start
+    with tempfile.TemporaryDirectory() as folder:
+        page = Path(folder) / "report.html"
+        write_page(opened, comparison, page, scene.view, scene.command, MOST_BYTES)
+        publish(page.read_text(encoding="utf-8"), report)
+    write_plot(opened, comparison, plot, scene.view)
+    return record(scene, comparison, about(opened, comparison, scene.view)) | {
+        "time_limit_s": limit_s, "took_s": round(took_s), "load": round(load, 1),
+    }  # fmt: skip
+
+
+def publish(text: str, report: Path) -> None:
+    """Write a report, if it is small enough. Raises ``RuntimeError``."""
+    size = len(text.encode())
+    if size >= MOST_BYTES:
+        raise RuntimeError(f"{report}: {size} bytes; a published report has less than {MOST_BYTES}")
+    write_whole(report, text)
+
+
+def record(scene: ReportScene, comparison: Comparison, said: dict[str, str]) -> Figures:
+    """What is kept of a comparison; ``said`` is what its report says of the run."""
+    return {
+        "command": scene.command,
+        "title": scene.title,
+        "data": scene.data,
+        **{key: said[key] for key in ("level", "view", "size", "light", "device", "driver", "processors", "Skugga", "made")},
+        "error": comparison.error,
+        "cast": comparison.cast,
+        "boundary": comparison.boundary,
+        "noise_floor": comparison.noise_floor,
+        "default": comparison.default,
+        "summary": format_summary(comparison),
+        "remarks": comparison.remarks,
+        "left_out": list(comparison.left_out),
+        "rows": {
+            row.figures["name"]: {"ms": row.figures["ms_median"], **{key: row.figures[key] for key in ROW_KEYS}}
+            for row in comparison.rows
+            if casts(row.figures, comparison.light)
+        },
+    }

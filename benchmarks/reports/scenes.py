@@ -1,0 +1,80 @@
+"""The scenes of the published comparisons: one of each kind, as the arguments of ``skugga compare``."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+SAMPLES = "DATA/"
+"""What the path of a level begins with that lies in the folder of sample data, wherever that is."""
+
+PERSPECTIVE_PX = (640, 512)
+"""Width and height of perspective views: forty rows take minutes, and a small report can hold their pictures pixel by pixel."""
+
+
+@dataclass(frozen=True)
+class ReportScene:
+    """A scene to compare. ``level`` is a bundled level's name or a raster below ``DATA/``; ``size`` width and height in pixels;
+    ``sun`` azimuth and altitude in degrees (``None``: the level's own light); ``bounds`` those of a map in units of its CRS.
+
+    ``data`` says whose data it shows. ``time_limit_s`` is that of the comparison, on two cores of their own.
+    """
+
+    name: str
+    title: str
+    level: str
+    view: str
+    size: tuple[int, int]
+    time_limit_s: float
+    data: str
+    sun: tuple[float, float] | None = None
+    bounds: tuple[float, float, float, float] | None = None
+
+    @property
+    def words(self) -> list[str]:
+        """The command line of the comparison, which the commands of its rows begin with."""
+        words = ["skugga", "compare", self.level, "--view", self.view, "--size", "x".join(map(str, self.size))]
+        if self.sun is not None:
+            words += ["--azimuth", f"{self.sun[0]:g}", "--altitude", f"{self.sun[1]:g}"]
+        if self.bounds is not None:
+            words += ["--bounds", ",".join(f"{value:.12g}" for value in self.bounds)]
+        return words
+
+    @property
+    def command(self) -> str:
+        return shlex.join(self.words)
+
+    def level_path(self, data: Path) -> str:
+        """The level where it lies."""
+        return str(data / self.level.removeprefix(SAMPLES)) if self.level.startswith(SAMPLES) else self.level
+
+
+SCENES = {
+    each.name: each
+    for each in (
+        ReportScene(
+            "mountain", "Mountains, as a map: relief alone, low sun", "jacksboro", "map", (512, 512), 100.0,
+            "Elevation: SRTM, NASA (sample data of matplotlib)", sun=(237.0, 6.0),
+            bounds=(735000.0, 4008300.0, 760600.0, 4033900.0),
+        ),
+        ReportScene(
+            "village", "A village, its woods and the ridges behind it", "jacksboro_wooded", "village", PERSPECTIVE_PX, 180.0,
+            "Elevation: SRTM, NASA (sample data of matplotlib); woods and houses made up",
+        ),
+        ReportScene(
+            "city", "A town by laser scan, as a map: roofs and crowns are its relief",
+            "DATA/urban/essen_dom1_32_356_5699_1_nw_2020.tif", "map", (400, 400), 220.0,
+            "Geobasis NRW, surface model DOM1, tile 32356_5699, 2020, dl-de/zero-2-0", sun=(230.0, 30.0),
+            bounds=(356380.0, 5699360.0, 356780.0, 5699760.0),
+        ),
+        ReportScene(
+            "lamp", "A room half under a lattice, a spot lamp through it", "thesis_room", "main", PERSPECTIVE_PX, 100.0,
+            "Scene after J. Sindholt (DTU 2005); geometry made by Skugga",
+        ),
+        ReportScene(
+            "rocks", "Stone circles of a thesis under the sun", "thesis_rocks_sun", "main", PERSPECTIVE_PX, 100.0,
+            "Scene after J. Sindholt (DTU 2005); geometry made by Skugga",
+        ),
+    )
+}  # fmt: skip

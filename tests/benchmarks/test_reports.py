@@ -1,0 +1,148 @@
+"""The published comparisons: the page and its reports belong together, and every command on it is one that `skugga` takes."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from api.cli.main import app
+from benchmarks.reports import __main__ as reports
+from benchmarks.reports.measure import MOST_BYTES, publish, record
+from benchmarks.reports.page import commands, comparisons, readme_figure
+from benchmarks.reports.scenes import SCENES
+from benchmarks.selection.page import END, START
+from shadows.truth.metrics import MOST_INTERIOR
+from tests.api.report.test_summary import NONE, comparison, figures
+
+DOCS = reports.ROOT / "docs"
+PAGE, README = (path.read_text(encoding="utf-8") for path in (reports.PAGE, reports.README))
+
+SAID = dict.fromkeys(("level", "view", "size", "light", "device", "driver", "processors", "Skugga", "made"), "said")
+RUN = {"time_limit_s": 70.0, "took_s": 70, "load": 0.0}
+
+
+def parsed(command: str) -> dict[str, Any]:
+    """What `skugga` reads in a command line of `compare`; fails as it does."""
+    program, name, *words = shlex.split(command)
+    assert (program, name) == ("skugga", "compare")
+    group: Any = typer.main.get_command(app)
+    return group.commands[name].make_context(name, words).params
+
+
+def kept_of(*rows: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return record(SCENES["city"], comparison(*rows, **more), SAID) | RUN
+
+
+def measured_part(text: str) -> str:
+    return text.partition(START)[2].partition(END)[0]
+
+
+def test_the_page_and_the_figure_are_what_the_script_writes_of_its_figures() -> None:
+    assert measured_part(PAGE) == comparisons(reports.kept())
+    assert measured_part(README) == readme_figure(reports.kept())
+
+
+def test_the_page_links_every_report_that_is_there_and_no_other() -> None:
+    found = {path.name for path in reports.REPORTS.iterdir()}
+    assert found == {f"{name}.html" for name in SCENES} and set(reports.kept()) == set(SCENES)
+    assert set(re.findall(r"\]\(compare/([^)]*)\)", PAGE)) == found
+    assert set(re.findall(r"\]\(images/([^)]*)\)", PAGE)) == {f"compare-{name}.svg" for name in SCENES}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_published_report_is_one_small_file_of_its_scene(name: str) -> None:
+    report = reports.REPORTS / f"{name}.html"
+    text, kept = report.read_text(encoding="utf-8"), reports.kept()[name]
+    assert report.stat().st_size < MOST_BYTES
+    assert not re.search(r"""(?:src|href)=["'](?!#|data:image/)""", text), "nothing but itself"
+    assert f"<dd>{kept['made']}</dd>" in text, "the page tells of the run that the report is of"
+    assert all(row in text for row in kept["rows"])
+
+
+@pytest.mark.parametrize("scene", SCENES.values(), ids=lambda scene: scene.name)
+def test_the_command_of_a_scene_says_what_is_measured(scene: Any) -> None:
+    found = parsed(scene.command)
+    assert (found["level"], found["view"], found["size"]) == (scene.level, scene.view, "{}x{}".format(*scene.size))
+    assert scene.sun == (None if found["azimuth"] is None else (found["azimuth"], found["altitude"]))
+    bounds = found["bounds"] and tuple(map(float, found["bounds"].split(",")))
+    assert bounds == scene.bounds
+    assert reports.kept()[scene.name]["command"] == scene.command
+
+
+def test_every_command_on_the_page_is_one_that_the_program_takes() -> None:
+    blocks = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL))
+    lines = [line for line in blocks.splitlines() if line] + re.findall(r"`(skugga compare [^`]*-o DIR)`", PAGE)
+    assert len(lines) == sum(len(each["left_out"]) + 1 for each in reports.kept().values())
+    for line in lines:
+        parsed(line)
+
+
+def test_every_variant_that_was_dropped_is_named_with_its_command() -> None:
+    dropped = ("relief=sweep,meshes=hybrid-768", "shadow_map-512-3-32")
+    each = kept_of(figures("sweep", 12.0, 0.03), left_out=dropped)
+    assert [parsed(line)["only"] for line in commands(each)] == [[name] for name in dropped]
+    text = comparisons({"city": each})
+    assert all(f"\n{line}\n" in text for line in commands(each)) and "1 of 3" in text
+    assert "No variant was left out." in comparisons({"city": kept_of(figures("sweep", 12.0, 0.03))})
+
+
+def test_a_command_that_the_program_does_not_take_is_noticed() -> None:
+    with pytest.raises(Exception, match="--row"):
+        parsed("skugga compare jacksboro --row sweep")
+
+
+def test_the_cheapest_row_of_each_target() -> None:
+    leaky = figures("planar", 1.0, 0.001, interior=2 * MOST_INTERIOR)
+    each = kept_of(NONE, leaky, figures("shadow_map-1", 5.0, 0.08), figures("sweep", 20.0, 0.008), figures("hybrid", 30.0, 0.009))
+    assert "| city | `wrong_cast` | `shadow_map-1`, 5.0 ms | `sweep`, 20 ms | `sweep`, 20 ms | none |" in comparisons(
+        {"city": each}
+    )
+
+
+@pytest.mark.parametrize(
+    ("rival", "place"),
+    [
+        ({"ms": 5.0, "error": 0.01, "soft_error": 0.01}, "dominated by `sweep` (time and `wrong_cast` and `soft_error`)"),
+        ({"ms": 5.0, "error": 0.01, "soft_error": 0.9}, "on the front by `soft_error`: no row dominates it"),
+        ({"ms": 50.0, "error": 0.01, "soft_error": 0.01}, "on the front by `wrong_cast` and `soft_error`: no row dominates it"),
+    ],
+)
+def test_the_place_of_the_default(rival: dict[str, float], place: str) -> None:
+    default = figures("hybrid", 10.0, 0.02, pareto_soft=not (rival["ms"] < 10.0 and rival["soft_error"] < 0.02))
+    each = kept_of(default, figures("sweep", **rival), default="hybrid")
+    assert f"| city | `hybrid` | 2.0 % | 2.0 % | 10 ms | {place} |" in comparisons({"city": each})
+
+
+def test_names_of_rows_in_sentences_are_code() -> None:
+    """Underscores would be emphasis; and a name may begin with another's."""
+    each = kept_of(figures("shadow_map", 1.0, 0.1), figures("shadow_map-1024-1-32", 2.0, 0.01))
+    text = comparisons({"city": each})
+    assert "The fastest is `shadow_map`: " in text and "The most accurate is `shadow_map-1024-1-32`: " in text
+
+
+def test_a_report_that_is_too_large_is_not_written(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    publish("å" * (MOST_BYTES // 2 - 1), path)
+    with pytest.raises(RuntimeError, match="less than 1000000"):
+        publish("å" * (MOST_BYTES // 2), path)
+    assert path.stat().st_size == MOST_BYTES - 2
+
+
+def test_a_scene_that_fails_is_told_and_the_others_are_made(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = []
+
+    def run(words: list[str], check: bool) -> subprocess.CompletedProcess[str]:
+        made.append(words[-1])
+        return subprocess.CompletedProcess(words, int(words[-1] == "city"))
+
+    monkeypatch.setattr("subprocess.run", run)
+    assert reports.make_all(list(SCENES), ["DATA"]) == ["city"] and made == list(SCENES)
+    assert "city: failed, exit status 1" in capsys.readouterr().err
