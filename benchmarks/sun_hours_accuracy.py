@@ -1,7 +1,7 @@
 """Hours of sun beside rays, in minutes, on surfaces of mountains, cities and forests; and the seconds that they take.
 
-    python -m benchmarks.sun_hours_accuracy FOLDER [--date 2024-03-21] [--steps 15,5,2,1] [--cells 3000] [--seconds] [--markdown
-    FILE]
+    python -m benchmarks.sun_hours_accuracy FOLDER [--date 2024-03-21] [--steps auto,15,5,2,1] [--cells 3000] [--seconds]
+        [--markdown FILE]
 
 FOLDER has the folders `mountain`, `urban` and `forest`, each with rasters of heights. Some cells of each raster, off its rim and
 off holes, are followed through the day by rays every 10 seconds, through the very triangles that the sweep goes by. `--seconds`
@@ -66,7 +66,7 @@ class AccuracyRow:
 
     kind: str
     raster: str
-    step_min: float
+    step_min: float | None
     hours: WrongMinutes
     first: WrongMinutes
     last: WrongMinutes
@@ -80,7 +80,7 @@ def _day(scene: Scene, day: date) -> WindowSun:
     return window_suns(scene.world, [daily_window(day, 0.0, 1440.0, UTC, scene.world)])[0]
 
 
-def _answers(scene: Scene, view: MapView, day: WindowSun, step_min: float) -> SunHours:
+def _answers(scene: Scene, view: MapView, day: WindowSun, step_min: float | None) -> SunHours:
     return sun_hours(scene, view, [day], SunRules(step_min=step_min), _no_plan)
 
 
@@ -132,7 +132,7 @@ def _wrong(found_min: np.ndarray, true_min: np.ndarray) -> WrongMinutes:
     return WrongMinutes(float(wrong.mean()), float(np.percentile(wrong, 99)))
 
 
-def rows_of(kind: str, path: Path, day: date, steps: list[float], cells: int) -> Iterator[AccuracyRow]:
+def rows_of(kind: str, path: Path, day: date, steps: list[float | None], cells: int) -> Iterator[AccuracyRow]:
     """The figures of a raster, at each step."""
     scene = build_scene(load_level(path))
     view = raster_view(scene).as_nodes()
@@ -162,7 +162,7 @@ def mountain_raster(folder: Path, side: int) -> Path:
     return path
 
 
-def print_seconds(day: date, steps: list[float]) -> None:
+def print_seconds(day: date, steps: list[float | None]) -> None:
     """The seconds for 2048 x 2048 cells, the second time, when loops are compiled and heights read."""
     with tempfile.TemporaryDirectory() as folder:
         scene = build_scene(load_level(mountain_raster(Path(folder), 2048)))
@@ -172,7 +172,11 @@ def print_seconds(day: date, steps: list[float]) -> None:
             begin = time.perf_counter(), time.process_time()
             _answers(scene, view, its_day, step)
             wall, computing = time.perf_counter() - begin[0], time.process_time() - begin[1]
-            print(f"{step:4.0f} min: {wall:.1f} s, {computing:.1f} s of computing", flush=True)
+            print(f"{_named(step):>4} min: {wall:.1f} s, {computing:.1f} s of computing", flush=True)
+
+
+def _named(step_min: float | None) -> str:
+    return "auto" if step_min is None else f"{step_min:g}"
 
 
 def table(rows: list[AccuracyRow]) -> str:
@@ -183,7 +187,7 @@ def table(rows: list[AccuracyRow]) -> str:
     ]
     for row in rows:
         wrong = " | ".join(f"{each.mean:.2f}, {each.p99:.1f}" for each in (row.hours, row.first, row.last))
-        lines.append(f"| {row.kind} | {row.raster} | {row.step_min:g} | {wrong} |")
+        lines.append(f"| {row.kind} | {row.raster} | {_named(row.step_min)} | {wrong} |")
     return "\n".join(lines)
 
 
@@ -192,12 +196,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--date", type=date.fromisoformat, default=date(2024, 3, 21))
-    parser.add_argument("--steps", default="15,5,2,1")
+    parser.add_argument("--steps", default="auto,15,5,2,1")
     parser.add_argument("--cells", type=int, default=3000)
     parser.add_argument("--seconds", action="store_true")
     parser.add_argument("--markdown", type=Path)
     given = parser.parse_args()
-    steps = [float(step) for step in given.steps.split(",")]
+    steps = [None if step == "auto" else float(step) for step in given.steps.split(",")]
     if given.seconds:
         print_seconds(given.date, steps)
     if given.folder is None:

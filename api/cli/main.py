@@ -230,7 +230,13 @@ def sun_hours_raster(
     clock: Annotated[
         str, typer.Option(help="What dates and windows go by: solar (true solar time), utc, an offset, or a zone as Europe/Oslo.")
     ] = "solar",
-    step: Annotated[str, typer.Option(metavar="2m", help="Time between two suns; crossings in between are found.")] = "2m",
+    step: Annotated[
+        str,
+        typer.Option(
+            metavar="5m",
+            help="Time between two suns (crossings in between are found), or auto: as long as hours stay right on that ground.",
+        ),
+    ] = "auto",
     quantity: Annotated[str, typer.Option(help="hours (mean of the dates), first, last, longest or days.")] = "hours",
     threshold: Annotated[str, typer.Option(metavar="2h", help="Sun that a day needs to count, for days.")] = "2h",
     least_altitude: Annotated[float, typer.Option(help="Least altitude of a sun that counts, degrees.")] = 0.0,

@@ -57,9 +57,9 @@ def write_sun_level(
 
 def rules_of(step: str, threshold: str, least_altitude: float, height: float) -> SunRules:
     """What counts as sun, of the options. Raises ``InputError``."""
-    minutes = duration_of("--step", step) / timedelta(minutes=1)
-    if not 0.5 <= minutes <= 60.0:
-        raise InputError("--step", step, "30s to 1h")
+    minutes = None if step == "auto" else duration_of("--step", step) / timedelta(minutes=1)
+    if minutes is not None and not 0.5 <= minutes <= 60.0:
+        raise InputError("--step", step, "30s to 1h, or auto")
     if not -1.0 <= least_altitude < 90.0:
         raise InputError("--least-altitude", least_altitude, "degrees above the horizon, -1 to 90")
     if not 0.0 <= height <= 1000.0:

@@ -133,7 +133,7 @@ class OpenLevel:
         window: str = "00:00-24:00",
         clock: str = "solar",
         quantity: str = "hours",
-        step_min: float = 2.0,
+        step_min: float | None = None,
         threshold_h: float = 2.0,
         least_altitude: float = 0.0,
         height: float = 0.0,
@@ -148,8 +148,8 @@ class OpenLevel:
 
         Counted is sun at least ``least_altitude`` degrees high, seen from ``height`` metres above the ground, in a daily
         ``window`` of the dates from ``date`` to ``to``. ``clock`` is ``solar``, ``utc``, an offset or a zone as ``Europe/Oslo``;
-        the sun is looked for every ``step_min`` minutes, and crossings in between are found. Cells are as in ``shade``. Raises
-        ``SkuggaError``.
+        the sun is looked for every ``step_min`` minutes (``None``: as often as hours need to be right on that ground), and
+        crossings in between are found. Cells are as in ``shade``. Raises ``SkuggaError``.
         """
         first = _day("date", date)
         last = first if to is None else _day("to", to)

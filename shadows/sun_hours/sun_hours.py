@@ -1,6 +1,7 @@
 """Hours of sun: how long, from when to when, and on how many days the sun is seen from the cells of a map's block.
 
-The sun is looked for at even steps of time and where it rises and sets. From bare ground the line sweep says by how much a cell
+The sun is looked for at even steps of time and where it rises and sets; where no step is given, as often as the ground of a block
+asks for (``shadows.sun_hours.steps``). From bare ground the line sweep says by how much a cell
 clears what lies between it and the sun (``shadows.sweep``), and the times between steps at which that changes its sign are found
 from it (``shadows.sun_hours.spells``); in steps longer than ``WALKED_MIN`` by walks over the ground, too. Where something stands on
 the ground a plan's algorithms say how much of the sun is seen: a cell has sun where that is half of it at least.
@@ -33,6 +34,7 @@ from shadows.sun_hours.spells import (
     turned_copy,
     turned_spells,
 )
+from shadows.sun_hours.steps import UPRIGHT, step_for
 from shadows.sun_hours.suns import SunSpan, WindowSun, lattice_of, sun_spans
 from shadows.sweep.grid import GridOrientation
 from shadows.sweep.sweep import CORES, clearance_of_nodes
@@ -53,10 +55,11 @@ CASTERS_MIN = 15.0
 """Minutes of sun for which ground beside a block is looked for at their two ends: what lies before the sun in between lies before
 it at one of them, but for ground some fifteen times as far away as the block is wide."""
 
+DRAWN_STEP_MIN = 2.0
+"""Minutes between two pictures, where no step is given and something stands on the ground."""
+
 WALKED_MIN = 2.5
 """Minutes between two moments beyond which a crossing is looked for on the ground: nearer ones the clearances tell well enough."""
-
-UPRIGHT = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
 
 ON_RIM = 1e-6
 """How near to a pixel's side, in pixels, the raster ends there."""
@@ -68,10 +71,11 @@ RIM_PLACES = 33
 @dataclass(frozen=True)
 class SunRules:
     """What counts as sun: seen from ``height_m`` above the ground, where it stands at least ``least_altitude_deg`` high
-    (apparent, at the cell); a day counts from ``threshold_h`` hours on. It is looked for every ``step_min`` minutes.
+    (apparent, at the cell); a day counts from ``threshold_h`` hours on. It is looked for every ``step_min`` minutes; ``None``: as
+    often as each block's ground asks for.
     """
 
-    step_min: float = 2.0
+    step_min: float | None = None
     threshold_h: float = 2.0
     least_altitude_deg: float = 0.0
     height_m: float = 0.0
@@ -114,9 +118,10 @@ def sun_hours(
     known = over.known()
     seen = _Seen(view, UPRIGHT, no_spells((view.rows, view.cols)))
     if known.any():
+        step_min = rules.step_min or over.step_min(days[len(days) // 2])
         for day in days:
             clock = ClockReading(day.window.clock_min, day.window.change_min, day.window.change_by_min)
-            for span in sun_spans(day, view, scene.world, rules.least_altitude_deg, rules.step_min):
+            for span in sun_spans(day, view, scene.world, rules.least_altitude_deg, step_min):
                 seen = _through(seen, over, day, span, clock)
             end_day(seen.spells, rules.threshold_h * 60.0)
             if on_day is not None:
@@ -180,7 +185,7 @@ class _BareBlock:
     """Clearances of bare ground, metres, by the line sweep."""
 
     def __init__(self, scene: Scene, nodes: BareNodes, rules: SunRules) -> None:
-        self._scene, self._nodes, self._height_m = scene, nodes, rules.height_m
+        self._scene, self._nodes, self._rules, self._height_m = scene, nodes, rules, rules.height_m
         self._alone = _holds_all_ground(scene, nodes.view)
         self._looked: deque[tuple[Patch, ...]] = deque(maxlen=3)  # here, there and after
         self._ground: tuple[tuple[Patch, ...], WalkedGround] | None = None
@@ -188,6 +193,10 @@ class _BareBlock:
     def known(self) -> np.ndarray:
         """Which cells (rows, cols) show ground."""
         return self._nodes.shown
+
+    def step_min(self, day: WindowSun) -> float:
+        """Minutes between two looks at the sun, of a day that stands for others."""
+        return step_for(self._scene, self._nodes, day, self._rules.least_altitude_deg, self._height_m)
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """Clearances (n, m) at each moment of a span, and how they are turned; the fifth is in the first one's array."""
@@ -242,6 +251,10 @@ class _DrawnBlock:
     def known(self) -> np.ndarray:
         """Which cells (rows, cols) show a surface."""
         return self._drawn(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])).there
+
+    def step_min(self, day: WindowSun) -> float:
+        """Minutes between two pictures, of any day."""
+        return DRAWN_STEP_MIN
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
         """As ``_BareBlock.clearances``, in the cells' own order."""

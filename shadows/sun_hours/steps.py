@@ -1,0 +1,88 @@
+"""How often the sun has to be looked for: as seldom as hours of sun stay right, which the ground of a block itself tells.
+
+From some cells, through one day, the horizon is looked for towards the sun minute by minute (``shadows.sun_hours.sight_walks``).
+That shows what steps of each length would miss there: glances of sun through narrow gaps, and shadows of narrow things, that begin
+and end between two looks. Mountains have few; roofs and crowns have many.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shadows.sun_hours.sight_walks import SunTrack, WalkedGround, free_tangent, sun_track, walked_ground
+from shadows.sun_hours.suns import WindowSun, sun_spans
+from shadows.sweep.grid import GridOrientation
+from terrain.compiled import compiled
+from terrain.gbuffer.bare_nodes import BareNodes
+from terrain.scene import Scene
+
+STEPS_MIN = (15.0, 5.0, 3.0, 2.0)
+"""Steps that are tried, minutes, the longest first; ``LEAST_STEP_MIN`` where all of them miss too much."""
+
+LEAST_STEP_MIN = 1.0
+
+CELLS = 1500
+"""Cells of a block that are looked from."""
+
+TRACK_MIN = 15
+"""Minutes over which the sun's way is taken for a parabola."""
+
+MOST_MISSED_MIN, MOST_MISSED_OF_99_MIN = 0.07, 1.5
+"""Minutes of a day that steps may miss, in the mean of cells and in 99 of 100. What each crossing is off by comes on top."""
+
+UPRIGHT = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
+
+
+def step_for(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> float:
+    """Minutes between two looks at the sun of a day, for a block of bare ground whose cells are looked from so far above it.
+
+    Ground beside the block is left out: it is far from most cells, and what is far bears long shadows.
+    """
+    lit = minutes_lit(scene, nodes, day, least_altitude_deg, height_m)
+    for step in STEPS_MIN:
+        missed = missed_minutes(lit, int(step))
+        if missed.mean() <= MOST_MISSED_MIN and np.percentile(missed, 99) <= MOST_MISSED_OF_99_MIN:
+            return step
+    return LEAST_STEP_MIN
+
+
+def minutes_lit(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> np.ndarray:
+    """Whether some cells of a block see the sun (cells, minutes), bool, in each minute that it is up."""
+    rows, cols = np.nonzero(nodes.shown)
+    some = np.random.default_rng(0).choice(len(rows), min(CELLS, len(rows)), replace=False)
+    cells = np.stack([rows[some], cols[some]], axis=1)
+    ground = walked_ground(scene, nodes, ())
+    parts = [np.empty((len(cells), 0), bool)]
+    for span in sun_spans(day, nodes.view, scene.world, least_altitude_deg, TRACK_MIN):
+        first, last = span.looked_for_min(0), span.looked_for_min(len(span.knots_min) - 1)
+        for begin in np.arange(first, last, TRACK_MIN):
+            times = np.arange(begin, min(begin + TRACK_MIN, last))
+            track = sun_track(day, nodes, scene.world, UPRIGHT, (float(begin), float(min(begin + TRACK_MIN, last))))
+            parts.append(_see(ground, track, cells, height_m, times))
+    return np.concatenate(parts, axis=1)
+
+
+def missed_minutes(lit: np.ndarray, step: int) -> np.ndarray:
+    """By how many minutes a day's sun of cells (n,) is wrong, of which each minute is known (n, minutes), if only every so many are
+    looked at: between two that differ the first crossing is found, and between two that are alike nothing.
+    """
+    wrong = np.zeros(len(lit))
+    for begin in range(0, lit.shape[1] - 1, step):
+        end = min(begin + step, lit.shape[1] - 1)
+        inside = lit[:, begin:end]
+        before, after = lit[:, begin], lit[:, end]
+        first_change = np.where((inside != before[:, None]).any(axis=1), (inside != before[:, None]).argmax(axis=1), end - begin)
+        same_until = np.where(before == after, end - begin, first_change)
+        taken = np.where(before, same_until, end - begin - same_until)
+        wrong += taken - inside.sum(axis=1)
+    return np.abs(wrong)
+
+
+@compiled
+def _see(ground: WalkedGround, track: SunTrack, cells: np.ndarray, height_m: float, times: np.ndarray) -> np.ndarray:
+    lit = np.empty((len(cells), len(times)), np.bool_)
+    for n in range(len(cells)):
+        for k in range(len(times)):
+            free, _ = free_tangent(ground, track, cells[n, 0], cells[n, 1], height_m, times[k])
+            lit[n, k] = free >= 0.0
+    return lit

@@ -1,0 +1,89 @@
+"""How often the sun has to be looked for: what steps miss by hand counts, and made ground of which it is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from api.shade import raster_view
+from shadows.sun_hours.steps import LEAST_STEP_MIN, STEPS_MIN, missed_minutes, step_for
+from shadows.sun_hours.sun_hours import SunRules, sun_hours
+from shadows.sun_hours.suns import window_suns
+from terrain.gbuffer.bare_nodes import bare_nodes
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
+from tests.rasters import write_geotiff
+from tests.shadows.sun_hours.test_sun_hours import SPRING, no_plan, window_of
+
+
+def series(text: str) -> np.ndarray:
+    return np.array([[character == "#" for character in text]])
+
+
+@pytest.mark.parametrize(
+    ("minutes", "step", "missed"),
+    [
+        ("####.####.#", 5, 2.0),  # both breaks lie between looks
+        ("....#.....#", 5, 1.0),  # a glance of a minute
+        ("...........", 5, 0.0),
+        ("##.........", 5, 0.0),  # one crossing: found
+        ("..#.######.", 5, 1.0),  # dark, then lit: the first crossing is found, and the minute of dark after it is not
+        ("####.####.#", 1, 0.0),  # each minute is looked at
+    ],
+)
+def test_what_steps_miss_is_counted_by_hand(minutes, step, missed):
+    assert missed_minutes(series(minutes), step) == pytest.approx([missed])
+
+
+def test_what_is_missed_and_what_is_too_much_make_up_for_each_other():
+    assert missed_minutes(series("##.##..#..#"), 5) == pytest.approx([0.0])
+    assert missed_minutes(np.concatenate([series("##.########"), series("...........")]), 5) == pytest.approx([1.0, 0.0])
+
+
+@pytest.fixture
+def opened(tmp_path: Path):
+    scenes: list[Scene] = []
+
+    def make(heights: np.ndarray, cell: float) -> Scene:
+        path = write_geotiff(tmp_path / f"{len(scenes)}.tif", heights.astype(np.float32), "EPSG:32632", 500e3, 5200e3, cell)
+        scenes.append(build_scene(load_level(path)))
+        return scenes[-1]
+
+    yield make
+    for scene in scenes:
+        scene.close()
+
+
+def asked_of(scene: Scene) -> float:
+    view = raster_view(scene).as_nodes()
+    day = window_suns(scene.world, [window_of(scene, SPRING)])[0]
+    return step_for(scene, bare_nodes(scene, view, 1), day, 0.0, 0.0)
+
+
+def dome() -> np.ndarray:
+    row, col = np.mgrid[-60:61, -60:61]
+    return 400.0 * np.exp(-(row**2 + col**2) / 800.0)
+
+
+def poles() -> np.ndarray:
+    """A pole of a cell on every tenth cell or so, as high as ten are apart: gaps that the sun passes in minutes."""
+    heights = np.zeros((121, 121))
+    rng = np.random.default_rng(3)
+    heights[rng.integers(0, 121, 500), rng.integers(0, 121, 500)] = 15.0
+    return heights
+
+
+def test_smooth_ground_bears_the_longest_step_and_a_field_of_poles_does_not(opened):
+    assert asked_of(opened(dome(), 30.0)) == STEPS_MIN[0]
+    assert LEAST_STEP_MIN <= asked_of(opened(poles(), 1.0)) <= 3.0
+
+
+def test_hours_without_a_step_are_those_of_the_step_that_the_ground_asks_for(opened):
+    scene = opened(dome(), 30.0)
+    view = raster_view(scene).as_nodes()
+    days = window_suns(scene.world, [window_of(scene, SPRING)])
+    free, bound, other = (sun_hours(scene, view, days, SunRules(step), no_plan).hours for step in (None, STEPS_MIN[0], 60.0))
+    np.testing.assert_array_equal(free, bound)
+    assert not np.array_equal(free, other, equal_nan=True)
