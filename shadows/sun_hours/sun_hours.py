@@ -58,7 +58,7 @@ it at one of them, but for ground some fifteen times as far away as the block is
 DRAWN_STEP_MIN = 2.0
 """Minutes between two pictures, where no step is given and something stands on the ground."""
 
-WALKED_MIN = 2.5
+WALKED_MIN = 3.0
 """Minutes between two moments beyond which a crossing is looked for on the ground: nearer ones the clearances tell well enough."""
 
 ON_RIM = 1e-6
