@@ -21,7 +21,7 @@ LONG_STEP_MIN, SHORT_STEP_MIN = 3.0, 1.0
 time than longer steps whose crossings are looked for on the ground, cell by cell, and its hours are right to a third of a minute.
 """
 
-CELLS = 1000
+SAMPLED_CELLS = 1000
 """Cells of a block that are looked from."""
 
 TRACK_MIN = 15
@@ -47,7 +47,7 @@ def step_for(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg:
 def minutes_lit(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> np.ndarray:
     """Whether some cells of a block see the sun (cells, minutes), bool, in each minute that it is up."""
     rows, cols = np.nonzero(nodes.shown)
-    some = np.random.default_rng(0).choice(len(rows), min(CELLS, len(rows)), replace=False)
+    some = np.random.default_rng(0).choice(len(rows), min(SAMPLED_CELLS, len(rows)), replace=False)
     cells = np.stack([rows[some], cols[some]], axis=1)
     ground = walked_ground(scene, nodes, ())
     parts = [np.empty((len(cells), 0), bool)]
