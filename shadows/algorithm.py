@@ -258,9 +258,7 @@ Fill = Callable[..., np.ndarray]
 
 
 FillNodes = Callable[..., np.ndarray]
-"""The same of a map's ``BareNodes``, attached shadow included, past ground alone: bool (rows, cols). Takes patches in the place of
-``Casters``.
-"""
+"""The same of a map's ``BareNodes``, attached shadow included, past ground alone: bool (rows, cols)."""
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from shadows.layer_collector import LayerCollector, PixelWindow
+from shadows.block_casters import casters_beside, left_out
 from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, OF_PIXELS, PassLog
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
 from shadows.visibility import visibilities_at
-from terrain.casters.reach import NO_CASTERS, casters_in_sun, casters_of
+from terrain.casters.reach import NO_CASTERS, Casters, casters_in_sun, casters_of
 from terrain.gbuffer.bare_ground import BareGround
 from terrain.gbuffer.bare_nodes import bare_nodes
 from terrain.gbuffer.covered_nodes import (
@@ -117,6 +118,8 @@ def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer | BareGround, lo
         there, filled = seen
         with log.run(ATTACHED_PASS):
             for light, values in filled.items():
+                if values.dtype == np.bool_ and values.all():
+                    continue  # as all pixels begin
                 means = means_in_pixels(part, nodes, values, there)
                 visibilities[light][window] = np.where(np.isnan(means), np.float32(1.0), means)
         kept = {
@@ -163,23 +166,21 @@ def looks_beside(plan: Plan, own: GeometryBuffer | BareGround, window: PixelWind
     return CASTERS_PASS in plan.runs or bool(own.there[window].sum() < own.there.sum())
 
 
-def caster_pass(plan: Plan) -> str:
-    """The pass in which it is looked for: one that the plan has."""
-    return CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS
-
-
 def lit_nodes(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
     """Which nodes show ground, and the sun's visibility there."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
         nodes = bare_nodes(scene, view, pixels.per_pixel)
-    with log.run(caster_pass(plan)):
-        patches = casters_in_sun(scene, nodes) if beside else ()
-    lit = np.ones(nodes.shown.shape, np.bool_)
-    for step in plan.steps_under(SUN):
+
+    def found() -> Casters:
+        return Casters(casters_in_sun(scene, nodes) if beside else (), NO_CASTERS.reach)
+
+    casters = casters_beside(scene, plan, nodes, found, log)
+    lit, steps = np.ones(nodes.shown.shape, np.bool_), plan.steps_under(SUN)
+    for step in () if left_out(scene, steps, nodes, casters, log) else steps:
         fill = ALGORITHMS[step.algorithm].node_fill(step.settings)
         assert fill is not None, step.algorithm
-        lit &= fill(nodes, scene, step.light, step.kinds, patches, step.settings, log)
+        lit &= fill(nodes, scene, step.light, step.kinds, casters, step.settings, log)
     return nodes.shown, {SUN: lit}
 
 
@@ -188,8 +189,7 @@ def _of_points(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) 
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
         buffer = geometry_of(scene, view)
-    with log.run(caster_pass(plan)):
-        casters = casters_of(scene, buffer) if beside else NO_CASTERS
+    casters = casters_beside(scene, plan, buffer, lambda: casters_of(scene, buffer) if beside else NO_CASTERS, log)
     return buffer.there, visibilities_at(scene, plan, buffer, casters, log)
 
 

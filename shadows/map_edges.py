@@ -13,15 +13,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from shadows.coarse_pixels import caster_pass, halved_pixels, looks_beside, mean_visibilities
+from shadows.block_casters import casters_beside
+from shadows.coarse_pixels import halved_pixels, looks_beside, mean_visibilities
 from shadows.passes import GEOMETRY_PASS, PassLog
 from shadows.plan import Plan
 from shadows.visibility import visibilities_at
-from terrain.casters.reach import NO_CASTERS, casters_of
+from terrain.casters.reach import NO_CASTERS, Casters, casters_of
 from terrain.compiled import compiled
 from terrain.gbuffer.antialias import SIDE, MultisampledBuffer
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -70,8 +72,8 @@ def _edge_sampled(
         part = edges[down, right]
         pixels.append(np.argwhere(part) + [down.start, right.start])
         finer = _finer(scene, own, view.part(down.start, right.start, *part.shape), part, log)
-        with log.run(caster_pass(plan)):
-            casters = casters_of(scene, finer) if looks_beside(plan, own, (down, right)) else NO_CASTERS
+        beside = looks_beside(plan, own, (down, right))
+        casters = casters_beside(scene, plan, finer, partial(_casters, scene, finer, beside), log)
         found.append(_samples(finer, visibilities_at(scene, plan, finer, casters, log), part))
     if not found:
         return MultisampledBuffer(own, view.rows), visibilities
@@ -92,6 +94,10 @@ def _edge_sampled(
             changes[name] = _below(value, arrays[name], missing, row, col)
     seen = {light: _below(value, arrays[light], missing, row, col) for light, value in visibilities.items()}
     return MultisampledBuffer(replace(own, **changes), view.rows, (row, col), EACH), seen
+
+
+def _casters(scene: Scene, finer: GeometryBuffer, beside: bool) -> Casters:
+    return casters_of(scene, finer) if beside else NO_CASTERS
 
 
 def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.ndarray:

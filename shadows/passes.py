@@ -5,7 +5,7 @@ while they run, never copied from a plan.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal
@@ -34,6 +34,9 @@ class PassRecord:
     and tiles that hold one, of how many points of the light it is the mean, and what else there is to say of it; labels of the
     programs that it drew with, in the order of their first use, and the textures that these can read, by the alphabet
     (``terrain.gl.programs``).
+
+    ``parts`` are the blocks, or parts of them, that the plan had it for, ``left_out`` those of them that provably need none of its
+    work, and went without it; the ``note`` says why.
     """
 
     name: str
@@ -48,8 +51,15 @@ class PassRecord:
     tiles: int = 0
     light_points: int = 1
     note: str = ""
+    parts: int = 0
+    left_out: int = 0
     programs: tuple[str, ...] = ()
     textures: tuple[str, ...] = ()
+
+    @property
+    def did_nothing(self) -> bool:
+        """Whether all parts of the picture went without it."""
+        return 0 < self.parts == self.left_out
 
 
 @dataclass
@@ -67,6 +77,7 @@ class PassLog:
     def run(self, name: str) -> Iterator[PassRecord]:
         """Time a pass and put it on record with all that is drawn in it."""
         record = self.records.setdefault(name, PassRecord(name))
+        record.parts += 1
         start = time.perf_counter()
         with recorded() as calls:
             try:
@@ -77,6 +88,12 @@ class PassLog:
                 drawn_with = dict.fromkeys(calls)
                 record.programs = tuple(dict.fromkeys([*record.programs, *(program.label for program in drawn_with)]))
                 record.textures = tuple(sorted({*record.textures, *(name for program in drawn_with for name in program.textures)}))
+
+    def leave_out(self, names: Iterable[str], why: str) -> None:
+        """Put it on record that a part of the picture goes without passes of the plan."""
+        for name in names:
+            record = self.records.setdefault(name, PassRecord(name))
+            record.parts, record.left_out, record.note = record.parts + 1, record.left_out + 1, why
 
     def keep(self, layer: PassLayer, light: str, make: Callable[..., np.ndarray], *args: object) -> None:
         """Keep the picture ``made(*of)``, which is made only if it is wanted.

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from shadows.block_casters import casters_beside
 from shadows.coarse_pixels import coarse_pixels, mean_visibilities
 from shadows.executed_effects import executed_effects
 from shadows.layer_collector import LayerCollector
@@ -194,8 +195,7 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
         buffer, own_pixels = picture.buffer, picture.own
         reach = reach_of(scene, own_pixels) if CASTERS_PASS not in plan.runs else None
     if reach is None:
-        with log.run(CASTERS_PASS):
-            casters = casters_of(scene, own_pixels)
+        casters = casters_beside(scene, plan, own_pixels, lambda: casters_of(scene, own_pixels), log)
     else:
         casters = Casters((), reach)
     pixels = coarse_pixels(scene, view, plan) if pixels_show == "means" else None

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from shadows.attached import attached
+from shadows.block_casters import left_out
 from shadows.passes import ATTACHED_PASS, PassLog
 from shadows.plan import Plan, Step
 from shadows.registry import ALGORITHMS
@@ -50,9 +51,11 @@ def receivers_of(buffer: GeometryBuffer, scene: Scene, light: str) -> GeometryBu
 
 def visibilities_at(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: Casters, log: PassLog) -> dict[str, np.ndarray]:
     """Each light's visibility (rows, cols) float32 at a buffer's points, attached shadow in it."""
-    visibilities = {
-        light: fill_steps(plan.steps_under(light), buffer, scene, casters, plan.runs, log) for light in plan.lights
-    }  # fmt: skip
+    visibilities = {}
+    for light in plan.lights:
+        steps = plan.steps_under(light)
+        needed = [] if left_out(scene, steps, buffer, casters, log) else steps
+        visibilities[light] = fill_steps(needed, buffer, scene, casters, plan.runs, log)
     with log.run(ATTACHED_PASS):
         for light, visibility in visibilities.items():
             visibility[attached(buffer, scene, light)] = 0.0

@@ -184,12 +184,14 @@ def sweep_nodes(
     points: SweepPoints | None = None,
     shade: np.ndarray = NO_LEVELS,
     cores: int = 1,
+    begin: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """See to the nodes of turned rows [rows[0], rows[1]) and to points whose t is in a range.
 
     ``entry`` is what the lines of a coarser grid bring along, whose cells are ``factor`` times as large. Returns which nodes see
     the sun (n, m) (empty without rows), and of the points whether they do and by how many metres the highest level on their way
-    exceeds theirs. ``shade`` (n, m), where it is not empty, is filled in with that level for the nodes; it has borders, too.
+    exceeds theirs. ``shade`` (n, m), where it is not empty, is filled in with that level for the nodes; it has borders, too. Rows
+    before ``begin`` hold no ground, and are passed over.
     """
     n, columns = sheet.level.shape
     first, last = rows
@@ -223,7 +225,7 @@ def sweep_nodes(
         )
         its = Strip(lines, start - 1, held, no_peaks(lines, cells))
         before = min(max(first - 1, 0), end)
-        sweep_rows(sheet, its, 0, before, NO_LEVELS, NO_MASK, some)
+        sweep_rows(sheet, its, min(begin, before), before, NO_LEVELS, NO_MASK, some)
         sweep_rows(sheet, its, before, end, shade, lit, some)
         points_lit[strip_points], points_above_m[strip_points] = strip_answers
 
@@ -249,17 +251,17 @@ def no_peaks(lines: int, cells: int) -> np.ndarray:
 
 
 def state_after(
-    sheet: TurnedGrid, lines: int, t_range: tuple[float, float], entry: LineState | None = None, factor: float = 2.0
+    sheet: TurnedGrid, lines: int, t_range: tuple[float, float], entry: LineState | None = None, factor: float = 2.0, begin: int = 0
 ) -> LineState:
-    """What lines in a range of t have met in the end, all rows of a sheet passed."""
+    """What lines in a range of t have met in the end, all rows of a sheet from ``begin`` on passed: before there is no ground."""
     low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
-    begin = LineState(low, np.full((lines, high - low), NO_GROUND_LEVEL, np.float32))
+    state = LineState(low, np.full((lines, high - low), NO_GROUND_LEVEL, np.float32))
     if entry is not None:
-        begin = entry.on(low, high - low, lines, factor)
+        state = entry.on(low, high - low, lines, factor)
     rows = len(sheet.level)
-    strip = Strip(lines, low, begin.held, no_peaks(lines, high - low))
-    sweep_rows(sheet, strip, 0, rows - 1, NO_LEVELS, NO_MASK, no_points(rows))
-    return begin
+    strip = Strip(lines, low, state.held, no_peaks(lines, high - low))
+    sweep_rows(sheet, strip, min(begin, rows - 1), rows - 1, NO_LEVELS, NO_MASK, no_points(rows))
+    return state
 
 
 def sunlit(

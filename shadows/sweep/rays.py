@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -145,7 +145,8 @@ def upright(light: LightSpace, up: np.ndarray) -> LightSpace:
 @dataclass(frozen=True, eq=False)
 class GroundWindow:
     """A window (rows, cols) of the grid of every 2**detail-th node, from ``row0`` and ``col0`` on: its turned sheet, and how far
-    its nodes lie towards the sun, float32, turned and bordered likewise (empty where nobody asked).
+    its nodes lie towards the sun, float32, turned and bordered likewise (empty where nobody asked). Before the turned row ``begin``
+    there is no ground.
     """
 
     detail: int
@@ -154,6 +155,7 @@ class GroundWindow:
     shape: tuple[int, int]
     sheet: TurnedGrid
     towards_m: np.ndarray
+    begin: int = 0
 
     def tilted(self, angle: float) -> TurnedGrid:
         """The sheet for a sun that stands higher by an angle, radians."""
@@ -163,15 +165,21 @@ class GroundWindow:
         return self.sheet._replace(level=level)
 
 
-def grounds_of_block(rays: SunRays, block: NodeHeights, patches: Iterable[Patch], soft: bool) -> list[GroundWindow]:
-    """The ground that casts on a map's block, by detail: the coarsest first, its own last. ``soft``: with ``towards_m``."""
+def grounds_of_block(
+    rays: SunRays, block: NodeHeights, patches: Iterable[Patch], soft: bool, idle: Collection[Patch] = ()
+) -> list[GroundWindow]:
+    """The ground that casts on a map's block, by detail: the coarsest first, its own last. ``soft``: with ``towards_m``. Patches
+    that are ``idle`` throw no shadow on it, and are not read.
+    """
     patches = [patch for patch in patches if not (patch.level and _lies_behind(rays, patch, block))]
     grounds = []
     for detail in sorted({0, *(patch.level for patch in patches)}, reverse=True):
         surface = rays.scene.surface(rays.grid.coarser(detail))
         there = [patch for patch in patches if patch.level == detail]
-        before = [patch for patch in there if not _lies_behind(rays, patch, block)]
+        before = [patch for patch in there if patch not in idle and not _lies_behind(rays, patch, block)]
         windows = [surface.height_window(*window) for window in patch_windows(before)]
+        if detail and not windows and not grounds:
+            continue  # nothing is handed over
         grounds.append(_ground(rays, detail, windows if detail else [block, *windows], soft, there))
     return grounds
 
@@ -243,15 +251,23 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
     row0, col0 = (min(axis) for axis in zip(*starts, strict=True))
     rows, cols = max(row for row, _ in ends) - row0, max(col for _, col in ends) - col0
 
+    first = [
+        int(min(rays.turn.onto(np.array([w.row0 - row0, w.row0 - row0 + w.shape[0] - 1]),
+                               np.array([w.col0 - col0, w.col0 - col0 + w.shape[1] - 1]), rows, cols)[0]))
+        for w in windows
+    ]  # fmt: skip
+    begin = max(min(first, default=rows) - 1, 0)
+
     def turned(put: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
         with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)))
         own = rays.turn.back(inside)
-        put(detail, windows, [own[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
+        if windows:
+            put(detail, windows, [own[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
         return close_border(with_border)
 
     sheet = TurnedGrid(turned(rays.put_levels), *rays.places(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
     towards_m = turned(rays.put_towards) if soft else NO_LEVELS
-    return GroundWindow(detail, row0, col0, (rows, cols), sheet, towards_m)
+    return GroundWindow(detail, row0, col0, (rows, cols), sheet, towards_m, begin)
 
 
 @compiled

@@ -115,7 +115,7 @@ def fill_nodes(
     scene: Scene,
     light: str,
     kinds: tuple[CasterKind, ...],
-    patches: tuple[Patch, ...],
+    casters: Casters,
     settings: SweepSettings,
     log: PassLog,
 ) -> np.ndarray:
@@ -127,7 +127,7 @@ def fill_nodes(
     (sweep_pass,) = log.named(light, kinds, PASSES)
     with log.run(sweep_pass) as record:
         rays = rays_over(scene, nodes.view.grid, *nodes.view.centre_node)
-        grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
+        grounds = grounds_of_block(rays, nodes.surface, casters.patches, soft=False, idle=casters.idle)
         targets = _asked_of_nodes(rays, grounds[-1], nodes)
         lines = max(settings.lines // nodes.per_pixel, LEAST_LINES)
         lit, _, _ = _swept(grounds, targets, lines, 0.0, NO_LEVELS)
@@ -206,7 +206,7 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
     if isinstance(view, MapView):
         rays = rays_over(scene, view.grid, *view.centre_node)
         assert buffer.surface is not None
-        return rays, grounds_of_block(rays, buffer.surface, casters.patches, soft)
+        return rays, grounds_of_block(rays, buffer.surface, casters.patches, soft, casters.idle)
     assert buffer.ground is not None
     rays, ground = ground_of_level(scene, buffer.ground, buffer.frame, soft)
     return rays, [ground]
@@ -260,13 +260,22 @@ def _swept(
     entry, detail = None, 0
     for before in coarser:
         own_range = targets.t_range[0] / 2**before.detail, targets.t_range[1] / 2**before.detail
-        entry = state_after(before.tilted(angle), lines, own_range, entry, 2.0 ** (detail - before.detail))
+        entry = state_after(before.tilted(angle), lines, own_range, entry, 2.0 ** (detail - before.detail), before.begin)
         detail = before.detail
     sheet = ground.tilted(angle)
     own_m = np.cos(angle) * targets.level_m - np.sin(angle) * targets.towards_m
-    highest_m = max(abs(float(np.nanmin(sheet.level))), abs(float(np.nanmax(sheet.level))))
-    points = SweepPoints(targets.row, targets.col, targets.t, own_m, LEVEL_ROUNDING * highest_m)
-    return sweep_nodes(sheet, lines, targets.t_range, entry, 2.0**detail, targets.rows, points, shade, CORES)
+    points = SweepPoints(targets.row, targets.col, targets.t, own_m, LEVEL_ROUNDING * _highest_m(sheet.level, targets))
+    return sweep_nodes(sheet, lines, targets.t_range, entry, 2.0**detail, targets.rows, points, shade, CORES, ground.begin)
+
+
+def _highest_m(level: np.ndarray, targets: _Asked) -> float:
+    """The largest of the levels (n, m) round the points that are asked for, up or down: what stops a ray by little lies as high."""
+    if not targets.row.size:
+        return 0.0
+    (i, end_i), (j, end_j) = (
+        (max(int(np.floor(at.min())) - 1, 0), max(int(np.ceil(at.max())) + 2, 1)) for at in (targets.row, targets.col + 1.0)
+    )
+    return float(np.fmax.reduce(np.abs(level[i:end_i, j:end_j]), axis=None, initial=0.0))
 
 
 def _seen(rays: SunRays, grounds: list[GroundWindow], targets: _Asked, lines: int, angle: float) -> np.ndarray:

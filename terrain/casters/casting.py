@@ -29,14 +29,14 @@ def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds:
     if buffer.columns is not None:
         own = buffer.columns.window
         yield own.sheet
-        for patch in casters.patches:
+        for patch in casters.casting:
             columns = own.columns.coarser(patch.level)
             yield columns.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).sheet
     if buffer.surface is None:
         return
     assert isinstance(buffer.view, MapView)
     yield buffer.surface.sheet
-    for patch in casters.patches:
+    for patch in casters.casting:
         surface = scene.surface(buffer.view.grid.coarser(patch.level))
         yield surface.window(patch.row * PATCH_QUADS, patch.col * PATCH_QUADS, side, side, buffer.frame).sheet
 

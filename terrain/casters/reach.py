@@ -103,10 +103,19 @@ class Receivers(Protocol):
 
 @dataclass(frozen=True)
 class Casters:
-    """What can shade a block besides its own ground: patches of ground outside, and how far they were looked for."""
+    """What can shade a block besides its own ground: patches of ground outside, and how far they were looked for.
+
+    ``idle`` are those of the patches that provably throw no shadow on the block (``terrain.casters.horizon_bound``).
+    """
 
     patches: tuple[Patch, ...]
     reach: Reach
+    idle: frozenset[Patch] = frozenset()
+
+    @property
+    def casting(self) -> tuple[Patch, ...]:
+        """The patches that may throw a shadow on the block."""
+        return tuple(patch for patch in self.patches if patch not in self.idle)
 
 
 NO_CASTERS = Casters((), Reach(0.0, 0.0, False))
