@@ -1,6 +1,6 @@
 """What a map's block needs of casters: ground beside it that may throw a shadow on it, and whether anything at all does.
 
-A plan is one for a level, a zoom and a sun. What it lists and a block provably has no need of (``terrain.casters.horizon_bound``) is
+A plan is one for a level, a zoom and a sun. What it lists and a block provably does not need (``terrain.casters.horizon_bound``) is
 left out for that block, and put on record there; the picture is the same to the bit.
 """
 

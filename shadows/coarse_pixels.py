@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.layer_collector import LayerCollector, PixelWindow
 from shadows.block_casters import casters_beside, left_out
+from shadows.layer_collector import LayerCollector, PixelWindow
 from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, OF_PIXELS, PassLog
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS

@@ -18,10 +18,10 @@ DISC_PART = "shadows/maps/sun_disc.frag"
 def executed_effects(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
     """The effects whose code ran.
 
-    A pass that every part of the picture went without did not run. An effect with a pass of its own ran if that did. Shadows were cast if an algorithm's pass ran, foliage was tested if one took
-    it on (also where none stood in the light's way) or a program that looks its texture up drew depths, and edges were soft if the
-    sun's maps were looked up by more than one tap, or what is filled is the mean of many points of its disc. Algorithms that draw
-    nothing (``sweep``, ``truth``) leave no trace of that.
+    A pass that all parts of the picture went without did not run. An effect with a pass of its own ran if that did. Shadows were
+    cast if an algorithm's pass ran, foliage was tested if one took it on (also where none stood in the light's way) or a program
+    that looks its texture up drew depths, and edges were soft if the sun's maps were looked up by more than one tap, or what is
+    filled is the mean of many points of its disc. Algorithms that draw nothing (``sweep``, ``truth``) leave no trace of that.
     """
     ran: set[EffectName] = set()
     for record in passes:

@@ -1,14 +1,15 @@
 """A bound of the horizon of a map's block: which ground provably throws no shadow of the sun on anything that is seen there.
 
-Ground goes by patches of ``PATCH_QUADS`` quads, the block's own as well as those beside it. Of each is kept, whatever the sun, how
-high and how low its nodes are, and how steep its facets. Two things prove that a patch cannot shade a block:
+Ground goes by patches of ``PATCH_QUADS`` quads, the block's own as well as those beside it, and by ``PARTS`` x ``PARTS`` parts of
+each. Of a part is kept, whatever the sun, how high and how low its nodes are, and how steep its facets. Two things prove that a
+part cannot shade a block:
 
-**It is too low.** Rays to the sun are straight, and light space has the earth's curvature in its points: a patch whose highest
-ground stays below the lowest ground of each own patch that its rays could come from, as the sun sees them, meets none of them.
+**It is too low.** Rays to the sun are straight, and light space has the earth's curvature in its points: a part whose highest
+ground stays below the lowest ground of each own part that its rays could come from, as the sun sees them, meets none of them.
 
 **All of its facets face the sun.** Along a ray from a receiver the ground begins not above it. Where it comes above, it has risen
 more steeply than the ray: over a facet that does not face the sun. So the first ground that stops a ray is such a facet's, and
-ground without one may be left out, wherever it lies and however high. This needs ground without gaps: a patch at whose nodes, or
+ground without one may be left out, wherever it lies and however high. This needs ground without gaps: a part at whose nodes, or
 beside them, no height is known is not left out for it, nor is ground of coarser detail, which does not meet its neighbour's edge.
 
 Both are asked of the whole disc of the sun, with what rounding and the texels of shadow maps may add in hand.
@@ -16,13 +17,16 @@ Both are asked of the whole disc of the sun, with what rounding and the texels o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from terrain.cache import MIB, cached
 from terrain.casters.reach import PATCH_QUADS, Patch, Receivers
-from terrain.geo.grid import Grid
+from terrain.compiled import compiled
+from terrain.geo.grid import Grid, MapView
 from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.geo.world import EARTH_RADIUS_M, World
 from terrain.ground.elevation import Elevation
@@ -46,40 +50,55 @@ BESIDE_NODES = 32
 NODES_BEYOND = 1
 """Nodes beside a patch whose heights have to be known as well."""
 
-DIRECTIONS = np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]], np.float64)
-"""Directions of columns and rows in which it is known how far the slopes of a patch's facets reach."""
+PLACES = ((0.0, 0.0, 0.5, 1.0, 1.0), (0.0, 1.0, 0.5, 0.0, 1.0))
+"""Places in a patch at which its quads' sides are taken, as shares of its rows and columns."""
+
+PARTS = 4
+"""Parts of a patch along its side."""
+
+DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
+"""Directions of columns and rows in which it is known how far the rises of a part's facets reach."""
 
 
 @dataclass(frozen=True, eq=False)
 class PatchGround:
-    """The ground of some patches (n,) of one grid: ``low_m`` and ``high_m`` of the nodes (inf and -inf without any), whether it is
-    ``whole``, and how far rises per node reach in ``DIRECTIONS`` (n, 8), metres.
+    """The ground of patches (n,) of one grid, by their parts: ``low_m`` and ``high_m`` of the nodes (n, m), NaN without any, and
+    how far the rises from node to node of its facets reach in ``DIRECTIONS`` (n, m, 8), metres, NaN where it is not whole.
     """
 
     low_m: np.ndarray
     high_m: np.ndarray
-    whole: np.ndarray
     rise_m: np.ndarray
+
+    def only(self, which: np.ndarray) -> PatchGround:
+        """The same, of some of the parts (n, m): without ground elsewhere."""
+        return replace(self, low_m=np.where(which, self.low_m, np.nan), high_m=np.where(which, self.high_m, np.nan))
 
 
 def idle_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...]) -> frozenset[Patch]:
-    """Those of the patches beside a map's block that throw no shadow of the sun on it. Columns' walls, and what shades a block in the
-    light of lamps, are not looked into.
+    """Those of the patches beside a map's block that throw no shadow of the sun on it. Columns' walls, and what shades a block in
+    the light of lamps, are not looked into.
     """
     if not patches or receivers.surface is None or scene.lamps:
         return frozenset()
     grid, own = _grid_of(receivers), own_patches(receivers)
-    own_ground = patch_ground(scene.world, scene.elevation, grid, own)
-    lit = _InLight.of(scene, grid, own, own_ground, own_ground.low_m)
+    own_ground = patch_ground(scene.world, scene.elevation, grid, own).only(own_parts(receivers))
+    lit, lit_parts = (_in_light(scene, grid, own, own_ground, parts, "lowest") for parts in (1, PARTS))
+    beside_m = BESIDE_NODES * scene.surface(grid).step_m
     idle: set[Patch] = set()
     for level in {patch.level for patch in patches}:
-        here, coarser = tuple(patch for patch in patches if patch.level == level), grid.coarser(level)
+        here = [patch for patch in patches if patch.level == level]
+        coarser = grid.coarser(level)
         ground = patch_ground(scene.world, scene.elevation, coarser, here)
-        out = _InLight.of(scene, coarser, here, ground, ground.high_m)
-        casts = _may_hide(out, lit, BESIDE_NODES * scene.surface(grid).step_m)
+        casts = np.isfinite(ground.low_m)
         if level == 0:
-            casts &= ~(ground.whole & all_facets_face_sun(scene, grid, here, ground))
-        idle |= {patch for patch, each in zip(here, casts, strict=True) if not each}
+            casts &= ~facing_sun(scene, grid, here, ground)
+        some = casts.any(axis=1)
+        some[some] = _may_hide(_in_light(scene, coarser, here, ground, 1, "highest")[some], lit, beside_m)
+        parts = _in_light(scene, coarser, here, ground, PARTS, "highest").reshape(*casts.shape, -1)
+        casts &= some[:, None]
+        casts[casts] = _may_hide(parts[casts], lit_parts, beside_m)
+        idle |= {patch for patch, each in zip(here, casts.any(axis=1), strict=True) if not each}
     return frozenset(idle)
 
 
@@ -90,11 +109,11 @@ def own_ground_faces_sun(scene: Scene, receivers: Receivers) -> bool:
     if receivers.surface is None:
         return False
     grid, own = _grid_of(receivers), own_patches(receivers)
-    ground = patch_ground(scene.world, scene.elevation, grid, own)
-    return bool((ground.whole & all_facets_face_sun(scene, grid, own, ground)).all())
+    facing = facing_sun(scene, grid, own, patch_ground(scene.world, scene.elevation, grid, own))
+    return bool(facing[own_parts(receivers)].all())
 
 
-def own_patches(receivers: Receivers) -> tuple[Patch, ...]:
+def own_patches(receivers: Receivers) -> list[Patch]:
     """The patches that a map's block lies on."""
     own = receivers.surface
     assert own is not None
@@ -102,17 +121,27 @@ def own_patches(receivers: Receivers) -> tuple[Patch, ...]:
         range(first // PATCH_QUADS, (first + max(count - 2, 0)) // PATCH_QUADS + 1)
         for first, count in zip((own.row0, own.col0), own.shape, strict=True)
     )
-    return tuple(Patch(0, row, col) for row in rows for col in cols)
+    return [Patch(0, row, col) for row in rows for col in cols]
 
 
-def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: tuple[Patch, ...]) -> PatchGround:
+def own_parts(receivers: Receivers) -> np.ndarray:
+    """Which parts (n, m) of these hold quads of the block."""
+    own, quads = receivers.surface, PATCH_QUADS // PARTS
+    assert own is not None
+    first = np.array([(patch.row, patch.col) for patch in own_patches(receivers)])[:, None, :] * PATCH_QUADS
+    at = np.stack(np.unravel_index(np.arange(PARTS * PARTS), (PARTS, PARTS)), axis=-1) * quads
+    begins, start = first + at, np.array([own.row0, own.col0])
+    return np.asarray(((begins < start + np.array(own.shape) - 1) & (begins + quads > start)).all(axis=-1))
+
+
+def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequence[Patch]) -> PatchGround:
     """The ground of patches of one grid; it is read once, and serves every sun."""
     known = np.array([_ground_of(world, elevation, grid, patch.row, patch.col) for patch in patches])
-    return PatchGround(known[:, 0], known[:, 1], known[:, 2] > 0.0, known[:, 3:])
+    return PatchGround(known[..., 0], known[..., 1], known[..., 2:])
 
 
-def all_facets_face_sun(scene: Scene, grid: Grid, patches: tuple[Patch, ...], ground: PatchGround) -> np.ndarray:
-    """Whether every facet of patches (n,) of one grid faces all of the sun's disc, bool.
+def facing_sun(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround) -> np.ndarray:
+    """Of which parts (n, m) of patches of one grid every facet faces all of the sun's disc, bool: of none that is not whole.
 
     A facet that rises by a from column to column and by b from row to row spans e + a u and f + b u, of a quad's sides e and f and
     the way up u. Its normal times the sun's direction s is s (f x e) + a s (f x u) + b s (u x e): linear in a and b, of which
@@ -120,99 +149,115 @@ def all_facets_face_sun(scene: Scene, grid: Grid, patches: tuple[Patch, ...], gr
     """
     assert scene.light is not None
     to_sun = -scene.light.light_from_earth[2]
-    row, col = _places(patches, np.array([0.0, 0.0, 0.5, 1.0, 1.0]), np.array([0.0, 1.0, 0.5, 0.0, 1.0]))
-    point, up = scene.world.ground(grid.crs, grid.x(col), grid.y(row))
-    right, down = (
-        scene.world.ground(grid.crs, grid.x(c), grid.y(r))[0] - scene.world.ground(grid.crs, grid.x(d), grid.y(q))[0]
-        for r, c, q, d in ((row, col + 0.5, row, col - 0.5), (row + 0.5, col, row - 0.5, col))
-    )
-    with np.errstate(invalid="ignore"):
-        level, per_right, per_down = (
-            np.cross(one, other) @ to_sun for one, other in ((down, right), (down, up), (up, right))
-        )
-        least = level - _farthest(ground.rise_m[:, None], -per_right, -per_down)
-        sides = np.linalg.norm(right, axis=-1), np.linalg.norm(down, axis=-1)
-        steepest = [ground.rise_m[:, k : k + 2].max(axis=1)[:, None] + ROUNDED_M for k in (0, 2)]
-        normal = sides[0] * sides[1] + steepest[0] * sides[1] + steepest[1] * sides[0]
-        rounded = ROUNDED_M * (sides[0] + sides[1])
-        return np.asarray((least - rounded > FACING * normal).all(axis=1))
+    corner = np.array([(patch.row, patch.col) for patch in patches], np.float64)
+    row, col = (corner[:, k, None] * PATCH_QUADS + np.array(at) * PATCH_QUADS for k, at in enumerate(PLACES))
+    _, up = scene.world.ground(grid.crs, grid.x(col), grid.y(row))
+    ends = [(row, col + 0.5), (row, col - 0.5), (row + 0.5, col), (row - 0.5, col)]
+    points = [scene.world.ground(grid.crs, grid.x(c), grid.y(r))[0] for r, c in ends]
+    right, down = points[0] - points[1], points[2] - points[3]
+    level, per_right, per_down = (
+        (np.cross(one, other) @ to_sun)[:, None] for one, other in ((down, right), (down, up), (up, right))
+    )  # fmt: skip
+    wide, tall = (np.linalg.norm(side, axis=-1)[:, None] for side in (right, down))
+    rise_m = np.where(np.isfinite(ground.rise_m), ground.rise_m, np.inf)[:, :, None]
+    steep_right, steep_down = (rise_m[..., k : k + 2].max(axis=-1) + ROUNDED_M for k in (0, 2))
+    least = level - _farthest(rise_m, -per_right, -per_down) - ROUNDED_M * (wide + tall)
+    normal = wide * tall + steep_right * tall + steep_down * wide
+    return np.asarray((least > FACING * normal).all(axis=2) & np.isfinite(ground.rise_m).all(axis=2))
 
 
 def _farthest(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarray) -> np.ndarray:
-    """The largest ``per_right`` a + ``per_down`` b over rises (a, b) that reach so far: by the two directions beside that one."""
+    """The largest ``per_right`` a + ``per_down`` b over rises (a, b) that reach so far (..., 8): by two directions beside that."""
     across, along = np.abs(per_right), np.abs(per_down)
     axis = np.where(across >= along, np.where(per_right >= 0.0, 0, 1), np.where(per_down >= 0.0, 2, 3))
     same = (per_right >= 0.0) == (per_down >= 0.0)
     diagonal = np.where(same, np.where(per_right >= 0.0, 4, 5), np.where(per_right >= 0.0, 6, 7))
-    rise_m = np.broadcast_to(rise_m, (*per_right.shape, len(DIRECTIONS)))
-    on_axis, on_diagonal = (np.take_along_axis(rise_m, which[..., None], axis=-1)[..., 0] for which in (axis, diagonal))
-    return np.abs(across - along) * on_axis + np.minimum(across, along) * on_diagonal
+    shape = np.broadcast_shapes(rise_m.shape[:-1], per_right.shape)
+    reach = np.broadcast_to(rise_m, (*shape, len(DIRECTIONS)))
+    on_axis, on_diagonal = (
+        np.take_along_axis(reach, np.broadcast_to(which, shape)[..., None], axis=-1)[..., 0] for which in (axis, diagonal)
+    )
+    return np.asarray(np.abs(across - along) * on_axis + np.minimum(across, along) * on_diagonal)
 
 
-@dataclass(frozen=True, eq=False)
-class _InLight:
-    """Patches (n,) as the sun sees them: the least and largest coordinate to the right and away from it, and the least and largest
-    one up, of their ground at one height.
+def _in_light(
+    scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround, parts: int, ground_at: Literal["lowest", "highest"]
+) -> np.ndarray:
+    """The bounds of ``parts`` x ``parts`` parts of patches as the sun sees them, those without ground NaN: float64 (n, 8), the
+    least and then the largest coordinates to the right, up, away from the sun, and towards it along the ground, which grows along
+    a ray whatever the heights. The one up is that of all ground at its lowest or highest.
     """
+    assert scene.light is not None
+    low_m, high_m = ground.low_m, ground.high_m
+    if parts == 1:
+        low_m, high_m = np.fmin.reduce(low_m, axis=1, keepdims=True), np.fmax.reduce(high_m, axis=1, keepdims=True)
+    corner = np.array([(patch.row, patch.col) for patch in patches], np.float64) * PATCH_QUADS
+    at = np.arange(parts + 1) * (PATCH_QUADS / parts)
+    row, col = np.broadcast_arrays(corner[:, :1, None] + at[:, None], corner[:, 1:, None] + at)
+    point, up = (_of_parts(each, parts) for each in scene.world.ground(grid.crs, grid.x(col), grid.y(row)))
+    ends = np.stack([point + height_m[..., None, None] * up for height_m in (low_m, high_m)])
+    in_light = scene.light.from_earth(ends)
+    in_light = np.concatenate([in_light, scene.light.towards_sun_m(in_light)[..., None]], axis=-1)
+    in_light[..., 1] = in_light[0 if ground_at == "lowest" else 1, ..., 1]
+    bulge = 0.0  # the earth rises above the plane of four corners by half of that at most
+    if not scene.world.flat:
+        bulge = (np.linalg.norm(point - point[..., ::-1, :], axis=-1).max(axis=-1) ** 2 / (4.0 * EARTH_RADIUS_M))[..., None]
+    low, high = in_light.min(axis=(0, 3)) - bulge, in_light.max(axis=(0, 3)) + bulge
+    return np.concatenate([low, high], axis=-1).reshape(-1, 8)
 
-    low: np.ndarray
-    high: np.ndarray
 
-    @staticmethod
-    def of(scene: Scene, grid: Grid, patches: tuple[Patch, ...], ground: PatchGround, height_m: np.ndarray) -> _InLight:
-        assert scene.light is not None
-        row, col = _places(patches, np.array([0.0, 0.0, 1.0, 1.0]), np.array([0.0, 1.0, 0.0, 1.0]))
-        point, up = scene.world.ground(grid.crs, grid.x(col), grid.y(row))
-        ends = np.stack([point + each[:, None, None] * up for each in (ground.low_m, ground.high_m, height_m)])
-        in_light = scene.light.from_earth(ends)
-        in_light[:2, ..., 1] = in_light[2, ..., 1]  # up is that of the one height, the others of all that there are
-        flat = 0.0 if scene.world.flat else np.linalg.norm(point - point[:, ::-1], axis=-1).max(axis=1) ** 2 / (4.0 * EARTH_RADIUS_M)
-        bulge = np.broadcast_to(flat, len(patches))[:, None]  # the earth bends by half of that between the corners at most
-        return _InLight(in_light.min(axis=(0, 2)) - bulge, in_light.max(axis=(0, 2)) + bulge)
+def _of_parts(corners: np.ndarray, parts: int) -> np.ndarray:
+    """The four corners (n, m, 4, 3) of each of a patch's parts, of those of all (n, parts + 1, parts + 1, 3)."""
+    four = [corners[:, i : i + parts, j : j + parts] for i in (0, 1) for j in (0, 1)]
+    return np.stack(four, axis=3).reshape(len(corners), parts * parts, 4, 3)
 
 
-def _may_hide(out: _InLight, lit: _InLight, beside_m: float) -> np.ndarray:
-    """Which patches (n,) may stand, as any point of the sun's disc sees them, before some of the others (m,): before it, and not
-    wholly below. What is not known may.
+@compiled
+def _may_hide(out, lit, beside_m):
+    """Which parts (n, 8) may stand, as any point of the sun's disc sees them, before some of the others (m, 8): towards the sun
+    from it, and not wholly below.
     """
-    with np.errstate(invalid="ignore"):
-        away_m = lit.high[:, 2] - out.low[:, None, 2]
-        slack_m = beside_m + 1.1 * DISC * np.maximum(away_m, 0.0)
-        clear = (
-            (out.low[:, None, 0] - slack_m > lit.high[:, 0]) | (out.high[:, None, 0] + slack_m < lit.low[:, 0])
-            | (out.high[:, None, 1] + slack_m < lit.low[:, 1]) | (away_m + beside_m < 0.0)
-        )  # fmt: skip
-    nothing = ~np.isfinite(lit.low).all(axis=1)
-    return np.asarray(~(clear | nothing).all(axis=1))
+    found = np.zeros(len(out), np.bool_)
+    for n in range(len(out)):
+        for m in range(len(lit)):
+            if np.isnan(lit[m, 0]):
+                continue
+            away_m = lit[m, 6] - out[n, 2]
+            if away_m + beside_m < 0.0:
+                continue
+            slack_m = beside_m + 1.1 * DISC * max(away_m, 0.0)
+            if (
+                out[n, 4] + slack_m >= lit[m, 0] and out[n, 0] - slack_m <= lit[m, 4]
+                and out[n, 5] + slack_m >= lit[m, 1] and out[n, 7] + slack_m >= lit[m, 3]
+            ):  # fmt: skip
+                found[n] = True
+                break
+    return found
 
 
 def _grid_of(receivers: Receivers) -> Grid:
-    grid: Grid = receivers.view.grid  # type: ignore[union-attr]
-    return grid
+    assert isinstance(receivers.view, MapView)
+    return receivers.view.grid
 
 
-def _places(patches: tuple[Patch, ...], down: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns (n, k) of places within patches, as shares of their sides."""
-    corner = np.array([(patch.row, patch.col) for patch in patches], np.float64)
-    return (corner[:, :1] + down) * PATCH_QUADS, (corner[:, 1:] + right) * PATCH_QUADS
-
-
-@cached("scene", 16 * MIB, size_of=lambda _: 1024)
+@cached("scene", 32 * MIB, size_of=lambda known: known.nbytes + 512)
 def _ground_of(world: World, elevation: Elevation, grid: Grid, row: int, col: int) -> np.ndarray:
-    """``low_m``, ``high_m``, ``whole`` and ``rise_m`` (11,) of a patch."""
-    side, more = PATCH_QUADS + 1, NODES_BEYOND
+    """``low_m``, ``high_m`` and ``rise_m`` of a patch's parts, float64 (m, 10); rises are NaN where heights in it or beside it
+    are not known.
+    """
+    side, more, quads = PATCH_QUADS + 1, NODES_BEYOND, PATCH_QUADS // PARTS
     window = Surface(world, elevation, grid).height_window(
         row * PATCH_QUADS - more, col * PATCH_QUADS - more, side + 2 * more, side + 2 * more
     )
-    around = window.height_m
-    height = around[more:-more, more:-more]
-    known = np.isfinite(height)
-    if not known.any():
-        return np.array([np.inf, -np.inf, 0.0, *np.full(len(DIRECTIONS), np.inf)])
-    ends = float(height[known].min()), float(height[known].max())
-    if not np.isfinite(around).all():
-        return np.array([*ends, 0.0, *np.full(len(DIRECTIONS), np.inf)])
-    return np.array([*ends, 1.0, *rises(height)])
+    height = window.height_m
+    out = np.full((PARTS * PARTS, 2 + len(DIRECTIONS)), np.nan)
+    for number, (i, j) in enumerate((i, j) for i in range(PARTS) for j in range(PARTS)):
+        around = height[i * quads : (i + 1) * quads + 1 + 2 * more, j * quads : (j + 1) * quads + 1 + 2 * more]
+        part = around[more:-more, more:-more]
+        out[number, :2] = np.fmin.reduce(part, axis=None), np.fmax.reduce(part, axis=None)
+        if np.isfinite(around).all():
+            out[number, 2:] = rises(part)
+    return out
 
 
 def rises(height_m: np.ndarray) -> np.ndarray:

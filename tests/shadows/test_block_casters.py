@@ -1,0 +1,123 @@
+"""What a block provably does not need is left out for it: the picture is the same to the bit, and the record says so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from morecantile import tms as matrix_sets
+
+from configs import LEVELS_FOLDER
+from shadows.block_casters import NOTHING_CASTS, NOTHING_OUTSIDE
+from shadows.ground_pictures import shown_map
+from shadows.render import Frame, render_frame
+from terrain.cache import clear_caches
+from terrain.casters.slopes import extent_on_grid
+from terrain.geo.grid import MapView, tile_grid
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+from tests.params import quick
+from tests.render import plan_of
+
+LEVELS = ("jacksboro", "jacksboro_alpine", "jacksboro_wooded", "spatialace")
+
+REAL = ("mountain/bigtujunga_30m_utm11.tif", "mountain/grenoble_copernicus_4326.tif", "mountain/sierra_30m_albers.tif")
+
+ASKED = (
+    {},
+    {"algorithm": "shadow_map", "filter": 3},
+    {"algorithm": "sweep", "filter": "sun"},
+    {"algorithm": "shadow_map", "map_size": 512},
+)
+
+SUNS = (4.0, 50.0, 12.0, 65.0, 25.0, 38.0)
+
+
+@contextmanager
+def everything_on(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No block goes without anything that its plan lists."""
+    with monkeypatch.context() as patch:
+        patch.setattr("shadows.block_casters.idle_patches", lambda *of: frozenset())
+        patch.setattr("shadows.block_casters.own_ground_faces_sun", lambda *of: False)
+        clear_caches("light")
+        yield
+
+
+def windows(scene: Scene, random: np.random.Generator, count: int) -> Iterator[tuple[Scene, MapView]]:
+    """Windows somewhere on a level, of tiles' pixels and of others, under suns of all heights."""
+    for number in range(count):
+        sun = SunSpec(azimuth=float(random.uniform(0.0, 360.0)), altitude=SUNS[number % len(SUNS)])
+        if scene.world.flat:
+            whole = scene.view()
+            west, south, east, north = whole.bounds
+            side = 0.3 * min(east - west, north - south)
+            x, y = random.uniform(west, east - side), random.uniform(south, north - side)
+            yield scene.with_sun(sun), scene.view(bounds=(x, y, x + side, y + side), size=(150, 150))
+            continue
+        grid = tile_grid(matrix_sets.get("WebMercatorQuad"), int(random.integers(12, 17)))
+        (top, bottom), (left, right) = extent_on_grid(scene.world, scene.elevation, grid)
+        row, col = random.integers(top - 40, max(bottom - 100, top)), random.integers(left - 40, max(right - 100, left))
+        whole = bool(random.random() < 0.7)
+        yield scene.with_sun(sun), MapView(grid, row + (0.0 if whole else 0.3), float(col), 1.0, 1.0, 170, 150)
+
+
+def assert_equal(one: Frame, other: Frame) -> None:
+    assert np.array_equal(one.color, other.color) and np.array_equal(one.height_m, other.height_m, equal_nan=True)
+    for light, visibility in one.visibilities.items():
+        assert np.array_equal(visibility, other.visibilities[light], equal_nan=True)
+        assert np.array_equal(one.shown_visibilities[light], other.shown_visibilities[light], equal_nan=True)
+    assert one.reach == other.reach
+
+
+def compare(scene: Scene, monkeypatch: pytest.MonkeyPatch, count: int, seed: int) -> dict[str, int]:
+    """Windows with everything on and as they are drawn: how many there were, and how many went without what."""
+    random, found = np.random.default_rng(seed), {"windows": 0, "outside_casters": 0, "shadows": 0}
+    for number, (lit, view) in enumerate(windows(scene, random, count)):
+        plan = plan_of(lit, view, **ASKED[number % len(ASKED)])
+        drawn, shown = render_frame(lit, view, plan), shown_map(lit, view, plan)
+        with everything_on(monkeypatch):
+            whole, shown_whole = render_frame(lit, view, plan), shown_map(lit, view, plan)
+        assert_equal(drawn, whole)
+        assert np.array_equal(shown.color, shown_whole.color) and np.array_equal(shown.opacity, shown_whole.opacity)
+        assert [record.name for record in drawn.passes] == plan.passes == [record.name for record in whole.passes]
+        assert whole.effects - drawn.effects <= {"outside_casters", "cast_shadows", "soft_edges"}
+        found["windows"] += 1
+        found["outside_casters"] += "outside_casters" in whole.effects - drawn.effects
+        found["shadows"] += "cast_shadows" in whole.effects - drawn.effects
+    return found
+
+
+@pytest.mark.parametrize("name", quick(LEVELS, "jacksboro"))
+def test_random_windows_of_bundled_levels_are_the_same_to_the_bit(gl, monkeypatch, name):
+    scene = build_scene(load_level(LEVELS_FOLDER / f"{name}.yaml"))
+    found = compare(scene, monkeypatch, 8, 5)
+    print(name, found)
+    assert name != "jacksboro" or (found["outside_casters"] > 2 and 0 < found["shadows"] < found["windows"])
+
+
+@pytest.mark.parametrize("source", quick(REAL, REAL[0]))
+def test_random_windows_of_real_mountains_are_the_same_to_the_bit(gl, monkeypatch, shared_data, make_scene, source):
+    found = compare(make_scene(shared_data / source), monkeypatch, 8, 6)
+    print(source, found)
+
+
+def test_the_record_says_what_a_block_went_without(gl, monkeypatch):
+    """Under a high sun over gentle ground no shadow pass runs, though the plan, which is the level's, lists it."""
+    scene = build_scene(load_level(LEVELS_FOLDER / "jacksboro.yaml")).with_sun(SunSpec(azimuth=200.0, altitude=50.0))
+    random = np.random.default_rng(3)
+    _, view = next((lit, view) for lit, view in windows(scene, random, 50) if view.on_nodes)
+    grid = tile_grid(matrix_sets.get("WebMercatorQuad"), 14)
+    (top, bottom), (left, right) = extent_on_grid(scene.world, scene.elevation, grid)
+    view = MapView(grid, float((top + bottom) // 2), float((left + right) // 2), 1.0, 1.0, 200, 200)
+    plan = plan_of(scene, view)
+    frame = render_frame(scene, view, plan)
+    records = {record.name: record for record in frame.passes}
+    assert list(records) == plan.passes and "cast_shadows" in plan.runs
+    assert records["outside_casters"].note == NOTHING_OUTSIDE and records["outside_casters"].did_nothing
+    assert records["sun/relief: sweep"].note == NOTHING_CASTS and records["sun/relief: sweep"].did_nothing
+    assert frame.effects == plan.runs - {"cast_shadows", "outside_casters"}
+    with everything_on(monkeypatch):
+        assert render_frame(scene, view, plan).effects == plan.runs

@@ -1,0 +1,114 @@
+"""What is left out because it provably throws no shadow on a block: rays find none of it, wherever the block lies and the sun."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from terrain.casters.casting import caster_sheets
+from terrain.casters.horizon_bound import DIRECTIONS, idle_patches, own_ground_faces_sun, rises
+from terrain.casters.reach import Casters, casters_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.sun import SUN_RADIUS_DEG
+from terrain.level.level import SUN
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene
+from tests.rasters import ENGINEERING
+
+SIDE = 900
+"""Cells of the ground, of 10 m: a block in it has patches on all sides."""
+
+heights = arrays.arrays(np.float32, (5, 4), elements=st.floats(-100.0, 100.0, width=32))
+
+
+@given(heights)
+def test_rises_bound_those_of_every_triangle_of_every_cut(height):
+    reach = rises(height)
+    for i in range(height.shape[0] - 1):
+        for j in range(height.shape[1] - 1):
+            a, b, c, d = height[i, j], height[i, j + 1], height[i + 1, j], height[i + 1, j + 1]
+            for rise in ((b - a, d - b), (d - c, c - a), (b - a, c - a), (d - c, d - b)):
+                for (right, down), most in zip(DIRECTIONS, reach, strict=True):
+                    assert right * float(rise[0]) + down * float(rise[1]) <= most + 1e-3
+
+
+def rolling(seed: int, relief_m: float, waves: int) -> np.ndarray:
+    """Smooth hills, of all wavelengths from the whole down to ``waves`` to a side."""
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[0:SIDE, 0:SIDE] * (2.0 * np.pi / SIDE)
+    out = np.zeros((SIDE, SIDE))
+    for wave in range(1, waves + 1):
+        along, phase = random.normal(size=2) * wave, random.uniform(0.0, 6.3)
+        out += np.sin(along[0] * x + along[1] * y + phase) / wave
+    return ((out - out.min()) * (relief_m / np.ptp(out))).astype(np.float32)
+
+
+@pytest.fixture
+def blocks(write_raster, make_scene):
+    """A block of rolling ground with its casters, under a sun: a scene, a buffer, all of its casters with what of them is idle."""
+
+    def make(seed: int, relief_m: float, waves: int, azimuth: float, altitude: float, corner: tuple[int, int], crs: str):
+        raster = write_raster(rolling(seed, relief_m, waves), crs, 500_000.0, 5_300_000.0, 10.0, name=f"{seed}.tif")
+        scene = make_scene(raster, azimuth, altitude)
+        west, north = 500_000.0 + 10.0 * corner[0], 5_300_000.0 - 10.0 * corner[1]
+        view = scene.view(bounds=(west, north - 1600.0, west + 1600.0, north), size=(160, 160))
+        buffer = geometry_of(scene, view)
+        casters = casters_of(scene, buffer)
+        return scene, buffer, replace(casters, idle=idle_patches(scene, buffer, casters.patches))
+
+    return make
+
+
+def lit_under(scene: Scene, buffer, casters: Casters, altitude_deg: float) -> np.ndarray:
+    """Which points see a sun of another altitude, past the ground that casts (rows, cols)."""
+    assert scene.sun is not None
+    other = scene.with_sun(SunSpec(azimuth=scene.sun.azimuth_deg, altitude=altitude_deg))
+    return lit_from(buffer, other, SUN, ray_scene(buffer, other, casters, ALL_KINDS))
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.integers(0, 10_000), st.floats(5.0, 900.0), st.integers(1, 9), st.floats(0.0, 360.0), st.floats(1.5, 60.0),
+    st.tuples(st.integers(150, 600), st.integers(150, 600)), st.sampled_from([ENGINEERING, "EPSG:32633"]),
+)  # fmt: skip
+def test_no_ray_to_any_part_of_the_sun_meets_what_is_left_out(blocks, seed, relief, waves, azimuth, altitude, corner, crs):
+    """Neither one to the middle of the disc nor one to its lowest point; and what faces the sun all over sees all of it."""
+    scene, buffer, casters = blocks(seed, relief, waves, azimuth, altitude, corner, crs)
+    everything = Casters(casters.patches, casters.reach)
+    for sun_deg in (altitude, altitude - 0.95 * SUN_RADIUS_DEG):
+        lit = lit_under(scene, buffer, everything, sun_deg)
+        assert np.array_equal(lit, lit_under(scene, buffer, casters, sun_deg))
+        if not casters.casting and own_ground_faces_sun(scene, buffer):
+            assert lit[buffer.there].all()
+
+
+def test_much_is_left_out_and_what_casts_is_not(blocks):
+    """Over gentle hills all of the ground beside a block under a high sun; under a low one less, and shadows fall into it."""
+    scene, buffer, high = blocks(1, 300.0, 6, 215.0, 50.0, (300, 300), "EPSG:32633")
+    assert high.patches and not high.casting and own_ground_faces_sun(scene, buffer)
+    scene, buffer, low = blocks(1, 300.0, 6, 215.0, 4.0, (300, 300), "EPSG:32633")
+    assert 0 < len(low.casting) < len(low.patches) and not own_ground_faces_sun(scene, buffer)
+    alone = Casters((), low.reach)
+    assert (lit_under(scene, buffer, low, 4.0) != lit_under(scene, buffer, alone, 4.0)).mean() > 0.01
+    assert len([*caster_sheets(scene, buffer, low, ("relief",))]) == 1 + len(low.casting)
+
+
+def test_ground_with_a_gap_is_kept_where_it_is_high_enough(write_raster, make_scene):
+    """A plateau behind a gap in the data has no facet that is turned away from the sun, and shades what lies below."""
+    height = np.zeros((SIDE, SIDE), np.float32)
+    height[600:] = 120.0
+    height[560:600] = np.nan
+    scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0, nodata=np.nan), 180.0, 20.0)
+    view = scene.view(bounds=(3000.0, 3450.0, 5000.0, 5000.0), size=(200, 155))
+    buffer = geometry_of(scene, view)
+    casters = casters_of(scene, buffer)
+    casters = replace(casters, idle=idle_patches(scene, buffer, casters.patches))
+    everything = Casters(casters.patches, casters.reach)
+    lit = lit_under(scene, buffer, everything, 20.0)
+    assert not lit.all() and np.array_equal(lit, lit_under(scene, buffer, casters, 20.0))
