@@ -273,6 +273,8 @@ class Algorithm:
         What fills visibility (``None``: nothing, all is lit), and the names of the passes that this runs, in order.
     node_fill
         What fills that of nodes of bare ground from their heights alone under some settings (``None``: nothing does).
+    idle_casters
+        Whether its visibility stays the same to the bit under some settings if casters that throw no shadow are left out.
     refuses
         What it cannot serve, with the sentence that says why; it serves everything else.
     layers
@@ -291,6 +293,7 @@ class Algorithm:
     about: str
     fill: Fill | None = None
     node_fill: Callable[[Any], FillNodes | None] = lambda settings: None
+    idle_casters: Callable[[Any], bool] = lambda settings: False
     passes: tuple[str, ...] = ()
     plural: str = ""
     refuses: Mapping[Requirement, str] = field(default_factory=dict)

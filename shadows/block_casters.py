@@ -40,7 +40,8 @@ def casters_beside(scene: Scene, plan: Plan, receivers: Receivers, found: Callab
     name = caster_pass(plan)
     with log.run(name) as record:
         casters = found()
-        casters = Casters(casters.patches, casters.reach, idle_patches(scene, receivers, casters.patches))
+        if _may_go_without(plan.steps_under(SUN)):
+            casters = Casters(casters.patches, casters.reach, idle_patches(scene, receivers, casters.patches))
         if name == CASTERS_PASS and not casters.casting:
             record.left_out, record.note = record.left_out + 1, NOTHING_OUTSIDE
     return casters
@@ -50,13 +51,17 @@ def left_out(scene: Scene, steps: Sequence[Step], receivers: Receivers, casters:
     """Whether no shadow of the sun falls on anything in a map's block, so that none of the steps needs to be run; that is put on
     record then. Nothing is left out where intermediate pictures are asked for.
     """
-    if not steps or steps[0].light != SUN or log.wanted or casters.casting or not scene.sun_is_up:
+    if not steps or steps[0].light != SUN or log.wanted or casters.casting or not scene.sun_is_up or not _may_go_without(steps):
         return False
     if not own_ground_faces_sun(scene, receivers) or _anything_stands_before(scene, receivers):
         return False
     for step in steps:
         log.leave_out(log.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes), NOTHING_CASTS)
     return True
+
+
+def _may_go_without(steps: Sequence[Step]) -> bool:
+    return all(ALGORITHMS[step.algorithm].idle_casters(step.settings) for step in steps)
 
 
 def _anything_stands_before(scene: Scene, receivers: Receivers) -> bool:

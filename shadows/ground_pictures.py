@@ -14,7 +14,6 @@ import numpy as np
 from shadows.coarse_pixels import coarse_pixels, halved_pixels, heights_say_all, mean_visibilities
 from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLog, PassRecord
 from shadows.plan import Plan
-from shadows.registry import NO_SHADOWS
 from shadows.render import REFRACTION_PASS, SHADING_PASS, render_frame
 from shadows.visibility import with_apparent_sun
 from terrain.casters.reach import NO_CASTERS, Reach, reach_over
@@ -68,7 +67,7 @@ def _ground_alone(scene: Scene, view: MapView, plan: Plan) -> bool:
         plain
         and view.on_nodes
         and plan.runs <= DRAWN_HERE
-        and (heights_say_all(scene, plan) or _nothing_casts(plan) or not scene.sun_is_up)
+        and (heights_say_all(scene, plan) or not plan.casts or not scene.sun_is_up)
     )
 
 
@@ -88,7 +87,7 @@ def _ground_picture(scene: Scene, view: MapView, plan: Plan) -> ShownMap | None:
         nothing = np.zeros(ground.there.shape, np.uint8)
         return ShownMap(np.zeros((*nothing.shape, 3), np.uint8), nothing, ground.there, (), NO_CASTERS.reach)
     with log.run(CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS):
-        reach = reach_over(scene, bare_nodes(scene, ground.window_view, 1))
+        reach = reach_over(scene, bare_nodes(scene, ground.window_view, 1)) if plan.casts else NO_CASTERS.reach
     lit = _lit_shares(scene, ground, plan, log)
     if lit is None:
         return None
@@ -99,10 +98,6 @@ def _ground_picture(scene: Scene, view: MapView, plan: Plan) -> ShownMap | None:
         color = shaded_ground(ground, scene, lit)
         opacity = np.rint(255.0 * (1.0 - np.where(ground.there, lit, np.float32(1.0)))).astype(np.uint8)
     return ShownMap(color, opacity, ground.there, tuple(log.records.values()), reach)
-
-
-def _nothing_casts(plan: Plan) -> bool:
-    return all(step.algorithm == NO_SHADOWS for step in plan.steps)
 
 
 def _faces_sun(ground: BareGround, scene: Scene) -> bool:
@@ -117,7 +112,7 @@ def _lit_shares(scene: Scene, ground: BareGround, plan: Plan, log: PassLog) -> n
     if not scene.sun_is_up:
         with log.run(ATTACHED_PASS):
             return np.zeros(ground.there.shape, np.float32)
-    if _nothing_casts(plan):
+    if not plan.casts:
         with log.run(ATTACHED_PASS):
             return np.ones(ground.there.shape, np.float32) if _faces_sun(ground, scene) else None
     pixels = coarse_pixels(scene, ground.view, plan) or halved_pixels(scene, ground.view, plan)

@@ -105,6 +105,11 @@ class Plan(_Value):
         """What is to be filled, in order."""
         return plan_steps(self.algorithm, self.settings)
 
+    @property
+    def casts(self) -> bool:
+        """Whether anything fills a light's visibility: else nothing casts, and no ground beside the picture is looked for."""
+        return any(step.algorithm != NO_SHADOWS for step in self.steps)
+
     def steps_under(self, light: str) -> list[Step]:
         """What is to be filled for a light, in order; ``none`` fills nothing."""
         return [step for step in self.steps if step.light == light and step.algorithm != NO_SHADOWS]

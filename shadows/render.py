@@ -17,7 +17,7 @@ from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLayer
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
 from shadows.visibility import visibilities_at, with_apparent_sun
-from terrain.casters.reach import Casters, Reach, casters_of, reach_of
+from terrain.casters.reach import NO_CASTERS, Casters, Reach, casters_of, reach_of
 from terrain.effects import EFFECTS
 from terrain.effects.effect import BEFORE_SHADING, ShadingBlock, Stage
 from terrain.errors import InputError, RenderError, UnsupportedError
@@ -136,13 +136,10 @@ def render_frame(
     if view.rows * view.cols > MAX_PIXELS:
         raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_PIXELS} pixels")
     size = view.rows, view.cols
-    color = np.zeros((*size, 3), np.uint8)
-    visibilities, shown = ({light: np.full(size, np.nan, np.float32) for light in plan.lights} for _ in range(2))
-    height = np.full(size, np.nan, np.float32)
-    position = None if isinstance(view, MapView) else np.full((*size, 3), np.nan)
     log, reach, kept = PassLog(wanted=layers), Reach(0.0, 0.0, False), LayerCollector(size)
     scene = _under_sky(scene, plan, log)
     parts: Sequence[tuple[MapView | PerspectiveView, int, int]] = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
+    whole = None
     for done, (part, row, col) in enumerate(parts, start=1):
         block = _render_block(scene, part, plan, log, pixels_show)
         reach = _worse(reach, block.reach)
@@ -154,19 +151,31 @@ def render_frame(
             slice(frame_window[0].start - row, frame_window[0].stop - row),
             slice(frame_window[1].start - col, frame_window[1].stop - col),
         )
-        color[frame_window], height[frame_window] = block.color[block_window], block.height_m[block_window]
-        for light in plan.lights:
-            visibilities[light][frame_window] = block.visibilities[light][block_window]
-            shown[light][frame_window] = block.shown_visibilities[light][block_window]
-        if position is not None and block.position_frame_m is not None:
-            position[frame_window] = block.position_frame_m[block_window]
+        if whole is None:  # the arrays of the only part are the picture's
+            whole = block if len(parts) == 1 and block.there.shape == size else _empty(view, plan, block)
+        if whole is not block:
+            whole.color[frame_window], whole.height_m[frame_window] = block.color[block_window], block.height_m[block_window]
+            for light in plan.lights:
+                whole.visibilities[light][frame_window] = block.visibilities[light][block_window]
+                whole.shown_visibilities[light][frame_window] = block.shown_visibilities[light][block_window]
+            if whole.position_frame_m is not None and block.position_frame_m is not None:
+                whole.position_frame_m[frame_window] = block.position_frame_m[block_window]
         kept.add(log.take(), frame_window, block_window)
         if on_block is not None:
             on_block(done, len(parts))
     if log.names != plan.passes:
         raise RenderError(f"the passes that ran ({', '.join(log.names)}) are not the plan's ({', '.join(plan.passes)})")
-    passes = tuple(log.records.values())
-    return Frame(view, plan, color, visibilities, shown, height, position, block.frame, passes, reach, kept.whole)
+    assert whole is not None
+    return replace(whole, view=view, passes=tuple(log.records.values()), reach=reach, layers=kept.whole)
+
+
+def _empty(view: MapView | PerspectiveView, plan: Plan, part: Frame) -> Frame:
+    """The frame of a view before any of its parts is in it, with arrays like those of a part."""
+    size = view.rows, view.cols
+    visibilities, shown = ({light: np.full(size, np.nan, np.float32) for light in plan.lights} for _ in range(2))
+    position = None if part.position_frame_m is None else np.full((*size, 3), np.nan)
+    color, height = np.zeros((*size, 3), np.uint8), np.full(size, np.nan, np.float32)
+    return Frame(view, plan, color, visibilities, shown, height, position, part.frame, (), part.reach)
 
 
 def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
@@ -193,7 +202,9 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
     with log.run(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
         buffer, own_pixels = picture.buffer, picture.own
-        reach = reach_of(scene, own_pixels) if CASTERS_PASS not in plan.runs else None
+        reach = None
+        if CASTERS_PASS not in plan.runs:
+            reach = reach_of(scene, own_pixels) if plan.casts else NO_CASTERS.reach
     if reach is None:
         casters = casters_beside(scene, plan, own_pixels, lambda: casters_of(scene, own_pixels), log)
     else:

@@ -342,6 +342,7 @@ ALGORITHM = Algorithm(
     about="line sweep over the heightfield along the sun's azimuth; needs no OpenGL",
     plural="sweep",
     fill=fill,
+    idle_casters=lambda settings: True,
     node_fill=lambda settings: fill_nodes if settings.filter == 1 else None,
     passes=PASSES,
     refuses=REFUSES,

@@ -159,7 +159,7 @@ def facing_sun(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: Patch
         (np.cross(one, other) @ to_sun)[:, None] for one, other in ((down, right), (down, up), (up, right))
     )  # fmt: skip
     wide, tall = (np.linalg.norm(side, axis=-1)[:, None] for side in (right, down))
-    rise_m = np.where(np.isfinite(ground.rise_m), ground.rise_m, np.inf)[:, :, None]
+    rise_m = np.nan_to_num(ground.rise_m)[:, :, None]
     steep_right, steep_down = (rise_m[..., k : k + 2].max(axis=-1) + ROUNDED_M for k in (0, 2))
     least = level - _farthest(rise_m, -per_right, -per_down) - ROUNDED_M * (wide + tall)
     normal = wide * tall + steep_right * tall + steep_down * wide

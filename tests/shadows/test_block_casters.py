@@ -29,7 +29,7 @@ REAL = ("mountain/bigtujunga_30m_utm11.tif", "mountain/grenoble_copernicus_4326.
 ASKED = (
     {},
     {"algorithm": "shadow_map", "filter": 3},
-    {"algorithm": "sweep", "filter": "sun"},
+    {"algorithm": {"relief": "sweep"}, "filter": "sun"},
     {"algorithm": "shadow_map", "map_size": 512},
 )
 
