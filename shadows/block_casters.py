@@ -14,7 +14,7 @@ from shadows.passes import CASTERS_PASS, GEOMETRY_PASS, PassLog
 from shadows.plan import Plan, Step
 from shadows.registry import ALGORITHMS
 from terrain.casters.casting import caster_trees
-from terrain.casters.horizon_bound import idle_patches, own_ground_faces_sun
+from terrain.casters.horizon_bound import idle_patches, own_ground_is_clear
 from terrain.casters.reach import Casters, Receivers
 from terrain.effects.cast_shadows import boxes_of_meshes
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -53,7 +53,7 @@ def left_out(scene: Scene, steps: Sequence[Step], receivers: Receivers, casters:
     """
     if not steps or steps[0].light != SUN or log.wanted or casters.casting or not scene.sun_is_up or not _may_go_without(steps):
         return False
-    if not own_ground_faces_sun(scene, receivers) or _anything_stands_before(scene, receivers):
+    if not own_ground_is_clear(scene, receivers) or _anything_stands_before(scene, receivers):
         return False
     for step in steps:
         log.leave_out(log.named(step.light, step.kinds, ALGORITHMS[step.algorithm].passes), NOTHING_CASTS)

@@ -23,12 +23,15 @@ from shadows.coarse_pixels import halved_pixels, looks_beside, mean_visibilities
 from shadows.passes import GEOMETRY_PASS, PassLog
 from shadows.plan import Plan
 from shadows.visibility import visibilities_at
+from terrain.casters.horizon_bound import own_ground_faces_sun
 from terrain.casters.reach import NO_CASTERS, Casters, casters_of
 from terrain.compiled import compiled
 from terrain.gbuffer.antialias import SIDE, MultisampledBuffer
+from terrain.gbuffer.covered_nodes import is_bare
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.level.level import SUN
 from terrain.scene import Scene
 
 Arrays = dict[str, np.ndarray]
@@ -66,6 +69,8 @@ def anti_aliased(
 def _edge_sampled(
     scene: Scene, plan: Plan, own: GeometryBuffer, view: MapView, visibilities: Arrays, log: PassLog
 ) -> tuple[MultisampledBuffer, Arrays]:
+    if _is_evenly_lit(scene, plan, own, visibilities):
+        return MultisampledBuffer(own, view.rows), visibilities
     edges = edge_pixels(own, list(visibilities.values()))
     pixels, found = [], []
     for down, right in _parts(edges):
@@ -94,6 +99,13 @@ def _edge_sampled(
             changes[name] = _below(value, arrays[name], missing, row, col)
     seen = {light: _below(value, arrays[light], missing, row, col) for light, value in visibilities.items()}
     return MultisampledBuffer(replace(own, **changes), view.rows, (row, col), EACH), seen
+
+
+def _is_evenly_lit(scene: Scene, plan: Plan, own: GeometryBuffer, visibilities: Arrays) -> bool:
+    """Whether no edge can run through a block or along its sides: nothing stands or casts there, and all ground faces the sun."""
+    if plan.casts or not is_bare(scene) or not scene.sun_is_up:
+        return False
+    return bool((visibilities[SUN][own.there] == 1.0).all()) and own_ground_faces_sun(scene, own)
 
 
 def _casters(scene: Scene, finer: GeometryBuffer, beside: bool) -> Casters:

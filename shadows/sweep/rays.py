@@ -172,7 +172,7 @@ def grounds_of_block(
     that are ``idle`` throw no shadow on it, and are not read.
     """
     patches = [patch for patch in patches if not (patch.level and _lies_behind(rays, patch, block))]
-    grounds = []
+    grounds: list[GroundWindow] = []
     for detail in sorted({0, *(patch.level for patch in patches)}, reverse=True):
         surface = rays.scene.surface(rays.grid.coarser(detail))
         there = [patch for patch in patches if patch.level == detail]

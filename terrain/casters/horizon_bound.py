@@ -63,12 +63,13 @@ DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 
 @dataclass(frozen=True, eq=False)
 class PatchGround:
     """The ground of patches (n,) of one grid, by their parts: ``low_m`` and ``high_m`` of the nodes (n, m), NaN without any, and
-    how far the rises from node to node of its facets reach in ``DIRECTIONS`` (n, m, 8), metres, NaN where it is not whole.
+    how far the rises from node to node of its facets reach in ``DIRECTIONS`` (n, m, 8), metres; and which are ``whole`` (n, m).
     """
 
     low_m: np.ndarray
     high_m: np.ndarray
     rise_m: np.ndarray
+    whole: np.ndarray
 
     def only(self, which: np.ndarray) -> PatchGround:
         """The same, of some of the parts (n, m): without ground elsewhere."""
@@ -92,7 +93,7 @@ def idle_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...])
         ground = patch_ground(scene.world, scene.elevation, coarser, here)
         casts = np.isfinite(ground.low_m)
         if level == 0:
-            casts &= ~facing_sun(scene, grid, here, ground)
+            casts &= ~(facing_sun(scene, grid, here, ground) & ground.whole)
         some = casts.any(axis=1)
         some[some] = _may_hide(_in_light(scene, coarser, here, ground, 1, "highest")[some], lit, beside_m)
         parts = _in_light(scene, coarser, here, ground, PARTS, "highest").reshape(*casts.shape, -1)
@@ -102,9 +103,17 @@ def idle_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...])
     return frozenset(idle)
 
 
+def own_ground_is_clear(scene: Scene, receivers: Receivers) -> bool:
+    """Whether the ground of a map's block shades none of it: all of it faces the whole sun, and has no gaps."""
+    if not own_ground_faces_sun(scene, receivers):
+        return False
+    ground = patch_ground(scene.world, scene.elevation, _grid_of(receivers), own_patches(receivers))
+    return bool(ground.whole[own_parts(receivers)].all())
+
+
 def own_ground_faces_sun(scene: Scene, receivers: Receivers) -> bool:
-    """Whether all facets of a map's block of smooth ground, and of the patches that it lies on, face the whole sun: they shade
-    nothing, and none is turned away.
+    """Whether all facets of a map's block of smooth ground, and of the parts that it lies on, face the whole sun: none is
+    turned away.
     """
     if receivers.surface is None:
         return False
@@ -137,11 +146,11 @@ def own_parts(receivers: Receivers) -> np.ndarray:
 def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequence[Patch]) -> PatchGround:
     """The ground of patches of one grid; it is read once, and serves every sun."""
     known = np.array([_ground_of(world, elevation, grid, patch.row, patch.col) for patch in patches])
-    return PatchGround(known[..., 0], known[..., 1], known[..., 2:])
+    return PatchGround(known[..., 0], known[..., 1], known[..., 3:], known[..., 2] > 0.0)
 
 
 def facing_sun(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround) -> np.ndarray:
-    """Of which parts (n, m) of patches of one grid every facet faces all of the sun's disc, bool: of none that is not whole.
+    """Of which parts (n, m) of patches of one grid every facet faces all of the sun's disc, bool.
 
     A facet that rises by a from column to column and by b from row to row spans e + a u and f + b u, of a quad's sides e and f and
     the way up u. Its normal times the sun's direction s is s (f x e) + a s (f x u) + b s (u x e): linear in a and b, of which
@@ -159,11 +168,11 @@ def facing_sun(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: Patch
         (np.cross(one, other) @ to_sun)[:, None] for one, other in ((down, right), (down, up), (up, right))
     )  # fmt: skip
     wide, tall = (np.linalg.norm(side, axis=-1)[:, None] for side in (right, down))
-    rise_m = np.nan_to_num(ground.rise_m)[:, :, None]
+    rise_m = ground.rise_m[:, :, None]
     steep_right, steep_down = (rise_m[..., k : k + 2].max(axis=-1) + ROUNDED_M for k in (0, 2))
     least = level - _farthest(rise_m, -per_right, -per_down) - ROUNDED_M * (wide + tall)
     normal = wide * tall + steep_right * tall + steep_down * wide
-    return np.asarray((least > FACING * normal).all(axis=2) & np.isfinite(ground.rise_m).all(axis=2))
+    return np.asarray((least > FACING * normal).all(axis=2))
 
 
 def _farthest(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarray) -> np.ndarray:
@@ -242,35 +251,38 @@ def _grid_of(receivers: Receivers) -> Grid:
 
 @cached("scene", 32 * MIB, size_of=lambda known: known.nbytes + 512)
 def _ground_of(world: World, elevation: Elevation, grid: Grid, row: int, col: int) -> np.ndarray:
-    """``low_m``, ``high_m`` and ``rise_m`` of a patch's parts, float64 (m, 10); rises are NaN where heights in it or beside it
-    are not known.
-    """
+    """``low_m``, ``high_m``, ``whole`` and ``rise_m`` of a patch's parts, float64 (m, 11)."""
     side, more, quads = PATCH_QUADS + 1, NODES_BEYOND, PATCH_QUADS // PARTS
     window = Surface(world, elevation, grid).height_window(
         row * PATCH_QUADS - more, col * PATCH_QUADS - more, side + 2 * more, side + 2 * more
     )
     height = window.height_m
-    out = np.full((PARTS * PARTS, 2 + len(DIRECTIONS)), np.nan)
+    out = np.empty((PARTS * PARTS, 3 + len(DIRECTIONS)))
     for number, (i, j) in enumerate((i, j) for i in range(PARTS) for j in range(PARTS)):
         around = height[i * quads : (i + 1) * quads + 1 + 2 * more, j * quads : (j + 1) * quads + 1 + 2 * more]
         part = around[more:-more, more:-more]
         out[number, :2] = np.fmin.reduce(part, axis=None), np.fmax.reduce(part, axis=None)
-        if np.isfinite(around).all():
-            out[number, 2:] = rises(part)
+        out[number, 2] = np.isfinite(around).all()
+        out[number, 3:] = rises(part)
     return out
 
 
 def rises(height_m: np.ndarray) -> np.ndarray:
     """How far the rises (a, b) from column to column and from row to row of the facets of a sheet (rows, cols) reach in
-    ``DIRECTIONS`` (8,), however its quads are cut.
+    ``DIRECTIONS`` (8,), however its quads are cut; 0 without any.
 
     A facet has one side of its quad along a row, and one along a column; each of the four pairs of them may be one's.
     """
     across, along = np.diff(height_m, axis=1), np.diff(height_m, axis=0)
     top, bottom, left, right = across[:-1], across[1:], along[:, :-1], along[:, 1:]
     pairs = [(one, other) for one in (top, bottom) for other in (left, right)]
-    ends = [(across.max(), -across.min()), (along.max(), -along.min())]
-    for sign in (1.0, -1.0):
-        sums = [one + np.float32(sign) * other for one, other in pairs]
-        ends.append((max(each.max() for each in sums), -min(each.min() for each in sums)))
-    return np.array(ends, np.float64).ravel()
+    ends = [_ends([across]), _ends([along])]
+    ends += [_ends([one + np.float32(sign) * other for one, other in pairs]) for sign in (1.0, -1.0)]
+    reach = np.array(ends, np.float64).ravel()
+    return np.where(np.isfinite(reach), reach, 0.0)
+
+
+def _ends(rises_m: list[np.ndarray]) -> tuple[float, float]:
+    """The largest of some rises, of those that are known, and of those downwards; infinities below any without."""
+    most = max(float(np.fmax.reduce(each, axis=None, initial=-np.inf)) for each in rises_m)
+    return most, -min(float(np.fmin.reduce(each, axis=None, initial=np.inf)) for each in rises_m)

@@ -41,7 +41,7 @@ def everything_on(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """No block goes without anything that its plan lists."""
     with monkeypatch.context() as patch:
         patch.setattr("shadows.block_casters.idle_patches", lambda *of: frozenset())
-        patch.setattr("shadows.block_casters.own_ground_faces_sun", lambda *of: False)
+        patch.setattr("shadows.block_casters.own_ground_is_clear", lambda *of: False)
         clear_caches("light")
         yield
 

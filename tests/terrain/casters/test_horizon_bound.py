@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 
 from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
 from terrain.casters.casting import caster_sheets
-from terrain.casters.horizon_bound import DIRECTIONS, idle_patches, own_ground_faces_sun, rises
+from terrain.casters.horizon_bound import DIRECTIONS, idle_patches, own_ground_is_clear, rises
 from terrain.casters.reach import Casters, casters_of
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.sun import SUN_RADIUS_DEG
@@ -84,16 +84,16 @@ def test_no_ray_to_any_part_of_the_sun_meets_what_is_left_out(blocks, seed, reli
     for sun_deg in (altitude, altitude - 0.95 * SUN_RADIUS_DEG):
         lit = lit_under(scene, buffer, everything, sun_deg)
         assert np.array_equal(lit, lit_under(scene, buffer, casters, sun_deg))
-        if not casters.casting and own_ground_faces_sun(scene, buffer):
+        if not casters.casting and own_ground_is_clear(scene, buffer):
             assert lit[buffer.there].all()
 
 
 def test_much_is_left_out_and_what_casts_is_not(blocks):
     """Over gentle hills all of the ground beside a block under a high sun; under a low one less, and shadows fall into it."""
     scene, buffer, high = blocks(5, 600.0, 6, 215.0, 50.0, (300, 300), "EPSG:32633")
-    assert high.patches and not high.casting and own_ground_faces_sun(scene, buffer)
+    assert high.patches and not high.casting and own_ground_is_clear(scene, buffer)
     scene, buffer, low = blocks(5, 600.0, 6, 215.0, 6.0, (300, 300), "EPSG:32633")
-    assert low.casting and not own_ground_faces_sun(scene, buffer)
+    assert low.casting and not own_ground_is_clear(scene, buffer)
     alone = Casters((), low.reach)
     assert (lit_under(scene, buffer, low, 6.0) != lit_under(scene, buffer, alone, 6.0)).mean() > 0.01
     assert len([*caster_sheets(scene, buffer, low, ("relief",))]) == 1 + len(low.casting)
