@@ -274,7 +274,8 @@ class Algorithm:
     node_fill
         What fills that of nodes of bare ground from their heights alone under some settings (``None``: nothing does).
     idle_casters
-        Whether its visibility stays the same to the bit under some settings if casters that throw no shadow are left out.
+        Whether its visibility stays the same to the bit under some settings if ground that throws no shadow is left out: not a
+        map's, whose taps shade a few points by a step where nothing casts.
     refuses
         What it cannot serve, with the sentence that says why; it serves everything else.
     layers

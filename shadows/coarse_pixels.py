@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.block_casters import casters_beside, left_out
+from shadows.block_casters import casters_beside, needed_steps
 from shadows.layer_collector import LayerCollector, PixelWindow
 from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, OF_PIXELS, PassLog
 from shadows.plan import Plan
@@ -176,8 +176,8 @@ def lit_nodes(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -
         return Casters(casters_in_sun(scene, nodes) if beside else (), NO_CASTERS.reach)
 
     casters = casters_beside(scene, plan, nodes, found, log)
-    lit, steps = np.ones(nodes.shown.shape, np.bool_), plan.steps_under(SUN)
-    for step in () if left_out(scene, steps, nodes, casters, log) else steps:
+    lit = np.ones(nodes.shown.shape, np.bool_)
+    for step in needed_steps(scene, plan.steps_under(SUN), nodes, casters, log):
         fill = ALGORITHMS[step.algorithm].node_fill(step.settings)
         assert fill is not None, step.algorithm
         lit &= fill(nodes, scene, step.light, step.kinds, casters, step.settings, log)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from shadows.attached import attached
-from shadows.block_casters import left_out
+from shadows.block_casters import needed_steps
 from shadows.passes import ATTACHED_PASS, PassLog
 from shadows.plan import Plan, Step
 from shadows.registry import ALGORITHMS
@@ -53,9 +53,8 @@ def visibilities_at(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: C
     """Each light's visibility (rows, cols) float32 at a buffer's points, attached shadow in it."""
     visibilities = {}
     for light in plan.lights:
-        steps = plan.steps_under(light)
-        needed = [] if left_out(scene, steps, buffer, casters, log) else steps
-        visibilities[light] = fill_steps(needed, buffer, scene, casters, plan.runs, log)
+        steps = needed_steps(scene, plan.steps_under(light), buffer, casters, log)
+        visibilities[light] = fill_steps(steps, buffer, scene, casters, plan.runs, log)
     with log.run(ATTACHED_PASS):
         for light, visibility in visibilities.items():
             visibility[attached(buffer, scene, light)] = 0.0

@@ -103,8 +103,6 @@ ALGORITHM = Algorithm(
     about="depth map from the light, fitted to the view",
     plural="shadow maps",
     fill=fill,
-    # The disc's filter looks for the nearest caster, and shades ground by thousandths where nothing casts.
-    idle_casters=lambda settings: settings.filter != "sun",
     passes=PASSES,
     layers=("shadow-map",),
     settings=(ShadowMapSettings, LampMapSettings),

@@ -199,7 +199,7 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, coarse_view: 
     assert scene.light is not None
     objects, frame = scene.objects, coarse_view.buffer.frame
     if kind == "meshes":
-        first, last = boxes_of_meshes(objects, scene.light)
+        first, last = _boxes_of_meshes(objects, scene.light)
     else:
         stand, seen = _trees(scene.objects, view, coarse_view)
         if stand is None or seen:
@@ -220,7 +220,7 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, coarse_view: 
 
 
 @cached("light", 256 * MIB)
-def boxes_of_meshes(objects: SceneObjects, light: LightSpace) -> tuple[np.ndarray, np.ndarray]:
+def _boxes_of_meshes(objects: SceneObjects, light: LightSpace) -> tuple[np.ndarray, np.ndarray]:
     """The boxes of the triangles that stand for the meshes, in light space: the same wherever an eye is."""
     assert objects.solids is not None
     return _boxes(light.from_earth(objects.solids.caster_vertices_earth_m), objects.solids.caster_triangles)
