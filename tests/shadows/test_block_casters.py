@@ -28,9 +28,10 @@ REAL = ("mountain/bigtujunga_30m_utm11.tif", "mountain/grenoble_copernicus_4326.
 
 ASKED = (
     {},
-    {"algorithm": "shadow_map", "filter": 3},
     {"algorithm": {"relief": "sweep"}, "filter": "sun"},
-    {"algorithm": "shadow_map", "map_size": 512},
+    {},
+    {"algorithm": {"relief": "sweep"}},
+    {"algorithm": "shadow_map"},
 )
 
 SUNS = (4.0, 50.0, 12.0, 65.0, 25.0, 38.0)
@@ -95,7 +96,7 @@ def test_random_windows_of_bundled_levels_are_the_same_to_the_bit(gl, monkeypatc
     scene = build_scene(load_level(LEVELS_FOLDER / f"{name}.yaml"))
     found = compare(scene, monkeypatch, 8, 5)
     print(name, found)
-    assert name != "jacksboro" or (found["outside_casters"] > 2 and 0 < found["shadows"] < found["windows"])
+    assert name != "jacksboro" or (found["outside_casters"] > 1 and 0 < found["shadows"] < found["windows"])
 
 
 @pytest.mark.parametrize("source", quick(REAL, REAL[0]))
