@@ -112,3 +112,18 @@ def test_ground_with_a_gap_is_kept_where_it_is_high_enough(write_raster, make_sc
     everything = Casters(casters.patches, casters.reach)
     lit = lit_under(scene, buffer, everything, 8.0)
     assert not lit.all() and np.array_equal(lit, lit_under(scene, buffer, casters, 8.0))
+
+
+@pytest.mark.parametrize(("wall_m", "casts"), [(100.0, True), (20.0, False)])
+def test_a_wall_is_kept_as_far_as_its_shadow_reaches(write_raster, make_scene, wall_m, casts):
+    """1000 m from a block under a sun of 5 degrees: 100 m of wall throw 1143 m of shadow, 20 m throw 229 m."""
+    height = np.zeros((SIDE, SIDE), np.float32)
+    height[690:700] = wall_m
+    scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0), 180.0, 5.0)
+    view = scene.view(bounds=(3000.0, 3100.0, 5000.0, 4600.0), size=(200, 150))
+    buffer = geometry_of(scene, view)
+    casters = casters_of(scene, buffer)
+    casters = replace(casters, idle=idle_patches(scene, buffer, casters.patches))
+    lit = lit_under(scene, buffer, Casters(casters.patches, casters.reach), 5.0)
+    assert bool(casters.casting) == casts == (not lit.all())
+    assert np.array_equal(lit, lit_under(scene, buffer, casters, 5.0))
