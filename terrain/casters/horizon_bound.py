@@ -12,7 +12,7 @@ more steeply than the ray: over a facet that does not face the sun. So the first
 ground without one may be left out, wherever it lies and however high. This needs ground without gaps: a part at whose nodes, or
 beside them, no height is known is not left out for it, nor is ground of coarser detail, which does not meet its neighbour's edge.
 
-Both are asked of the whole disc of the sun, with what rounding and the texels of shadow maps may add in hand.
+Both are asked of the whole disc of the sun, with what rounding and the sweep's lines may add in hand.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from terrain.ground.elevation import Elevation
 from terrain.ground.surface import Surface
 from terrain.scene import Scene
 
-DISC = float(np.sin(np.radians(SUN_RADIUS_DEG)))
+DISC_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
 """Sine of the angle from the middle of the sun's disc to its rim."""
 
-FACING = DISC + 1.1e-3
+FACING = DISC_SINE + 1.1e-3
 """Sine of the angle by which a facet faces the sun at least: the disc, what float32 normals are off by, and what the lengths of a
 quad's sides change by with its height.
 """
@@ -44,26 +44,29 @@ quad's sides change by with its height.
 ROUNDED_M = 4e-3
 """How far the two ends of a quad's side may be off together, metres: positions are float32 within 20 km of a frame's origin."""
 
-BESIDE_NODES = 32
-"""So many nodes beside a ray, as the sun sees them, count as on it: texels of shadow maps and their filters reach so far."""
+BESIDE_NODES = 4
+"""So many nodes beside a ray count as on it: a sweep's lines and points stand between nodes."""
+
+LEANING = 0.05
+"""By how much the sine of the sun's altitude may be larger elsewhere on a level than at its anchor, 300 km away."""
 
 NODES_BEYOND = 1
 """Nodes beside a patch whose heights have to be known as well."""
 
-PLACES = ((0.0, 0.0, 0.5, 1.0, 1.0), (0.0, 1.0, 0.5, 0.0, 1.0))
+SIDES_AT = ((0.0, 0.0, 0.5, 1.0, 1.0), (0.0, 1.0, 0.5, 0.0, 1.0))
 """Places in a patch at which its quads' sides are taken, as shares of its rows and columns."""
 
 PARTS = 4
 """Parts of a patch along its side."""
 
-DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
+RISE_DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
 """Directions of columns and rows in which it is known how far the rises of a part's facets reach."""
 
 
 @dataclass(frozen=True, eq=False)
 class PatchGround:
     """The ground of patches (n,) of one grid, by their parts: ``low_m`` and ``high_m`` of the nodes (n, m), NaN without any, and
-    how far the rises from node to node of its facets reach in ``DIRECTIONS`` (n, m, 8), metres; and which are ``whole`` (n, m).
+    how far the rises from node to node of its facets reach in ``RISE_DIRECTIONS`` (n, m, 8), metres; and which are ``whole`` (n, m).
     """
 
     low_m: np.ndarray
@@ -86,6 +89,9 @@ def idle_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...])
     own_ground = patch_ground(scene.world, scene.elevation, grid, own).only(own_parts(receivers))
     lit, lit_parts = (_in_light(scene, grid, own, own_ground, parts, "lowest") for parts in (1, PARTS))
     beside_m = BESIDE_NODES * scene.surface(grid).step_m
+    assert scene.light is not None
+    foreshortened = min(float(np.sin(np.radians(max(scene.light.altitude_deg, 0.0)))) + LEANING, 1.0)
+    slack = beside_m, beside_m * foreshortened
     idle: set[Patch] = set()
     for level in {patch.level for patch in patches}:
         here = [patch for patch in patches if patch.level == level]
@@ -95,10 +101,10 @@ def idle_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...])
         if level == 0:
             casts &= ~(facing_sun(scene, grid, here, ground) & ground.whole)
         some = casts.any(axis=1)
-        some[some] = _may_hide(_in_light(scene, coarser, here, ground, 1, "highest")[some], lit, beside_m)
+        some[some] = _may_hide(_in_light(scene, coarser, here, ground, 1, "highest")[some], lit, *slack)
         parts = _in_light(scene, coarser, here, ground, PARTS, "highest").reshape(*casts.shape, -1)
         casts &= some[:, None]
-        casts[casts] = _may_hide(parts[casts], lit_parts, beside_m)
+        casts[casts] = _may_hide(parts[casts], lit_parts, *slack)
         idle |= {patch for patch, each in zip(here, casts.any(axis=1), strict=True) if not each}
     return frozenset(idle)
 
@@ -159,7 +165,7 @@ def facing_sun(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: Patch
     assert scene.light is not None
     to_sun = -scene.light.light_from_earth[2]
     corner = np.array([(patch.row, patch.col) for patch in patches], np.float64)
-    row, col = (corner[:, k, None] * PATCH_QUADS + np.array(at) * PATCH_QUADS for k, at in enumerate(PLACES))
+    row, col = (corner[:, k, None] * PATCH_QUADS + np.array(at) * PATCH_QUADS for k, at in enumerate(SIDES_AT))
     _, up = scene.world.ground(grid.crs, grid.x(col), grid.y(row))
     ends = [(row, col + 0.5), (row, col - 0.5), (row + 0.5, col), (row - 0.5, col)]
     points = [scene.world.ground(grid.crs, grid.x(c), grid.y(r))[0] for r, c in ends]
@@ -182,7 +188,7 @@ def _farthest(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarray) -
     same = (per_right >= 0.0) == (per_down >= 0.0)
     diagonal = np.where(same, np.where(per_right >= 0.0, 4, 5), np.where(per_right >= 0.0, 6, 7))
     shape = np.broadcast_shapes(rise_m.shape[:-1], per_right.shape)
-    reach = np.broadcast_to(rise_m, (*shape, len(DIRECTIONS)))
+    reach = np.broadcast_to(rise_m, (*shape, len(RISE_DIRECTIONS)))
     on_axis, on_diagonal = (
         np.take_along_axis(reach, np.broadcast_to(which, shape)[..., None], axis=-1)[..., 0] for which in (axis, diagonal)
     )
@@ -222,9 +228,9 @@ def _of_parts(corners: np.ndarray, parts: int) -> np.ndarray:
 
 
 @compiled
-def _may_hide(out, lit, beside_m):
+def _may_hide(out, lit, beside_m, above_m):
     """Which parts (n, 8) may stand, as any point of the sun's disc sees them, before some of the others (m, 8): towards the sun
-    from it, and not wholly below.
+    from it, and not wholly below by more than ``above_m``; what is within ``beside_m`` counts.
     """
     found = np.zeros(len(out), np.bool_)
     for n in range(len(out)):
@@ -234,10 +240,11 @@ def _may_hide(out, lit, beside_m):
             away_m = lit[m, 6] - out[n, 2]
             if away_m + beside_m < 0.0:
                 continue
-            slack_m = beside_m + 1.1 * DISC * max(away_m, 0.0)
+            disc_m = 1.1 * DISC_SINE * max(away_m, 0.0)
+            slack_m = beside_m + disc_m
             if (
                 out[n, 4] + slack_m >= lit[m, 0] and out[n, 0] - slack_m <= lit[m, 4]
-                and out[n, 5] + slack_m >= lit[m, 1] and out[n, 7] + slack_m >= lit[m, 3]
+                and out[n, 5] + above_m + disc_m >= lit[m, 1] and out[n, 7] + slack_m >= lit[m, 3]
             ):  # fmt: skip
                 found[n] = True
                 break
@@ -257,7 +264,7 @@ def _ground_of(world: World, elevation: Elevation, grid: Grid, row: int, col: in
         row * PATCH_QUADS - more, col * PATCH_QUADS - more, side + 2 * more, side + 2 * more
     )
     height = window.height_m
-    out = np.empty((PARTS * PARTS, 3 + len(DIRECTIONS)))
+    out = np.empty((PARTS * PARTS, 3 + len(RISE_DIRECTIONS)))
     for number, (i, j) in enumerate((i, j) for i in range(PARTS) for j in range(PARTS)):
         around = height[i * quads : (i + 1) * quads + 1 + 2 * more, j * quads : (j + 1) * quads + 1 + 2 * more]
         part = around[more:-more, more:-more]
@@ -269,7 +276,7 @@ def _ground_of(world: World, elevation: Elevation, grid: Grid, row: int, col: in
 
 def rises(height_m: np.ndarray) -> np.ndarray:
     """How far the rises (a, b) from column to column and from row to row of the facets of a sheet (rows, cols) reach in
-    ``DIRECTIONS`` (8,), however its quads are cut; 0 without any.
+    ``RISE_DIRECTIONS`` (8,), however its quads are cut; 0 without any.
 
     A facet has one side of its quad along a row, and one along a column; each of the four pairs of them may be one's.
     """

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 
 from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
 from terrain.casters.casting import caster_sheets
-from terrain.casters.horizon_bound import DIRECTIONS, idle_patches, own_ground_is_clear, rises
+from terrain.casters.horizon_bound import RISE_DIRECTIONS, idle_patches, own_ground_is_clear, rises
 from terrain.casters.reach import Casters, casters_of
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.sun import SUN_RADIUS_DEG
@@ -34,7 +34,7 @@ def test_rises_bound_those_of_every_triangle_of_every_cut(height):
         for j in range(height.shape[1] - 1):
             a, b, c, d = height[i, j], height[i, j + 1], height[i + 1, j], height[i + 1, j + 1]
             for rise in ((b - a, d - b), (d - c, c - a), (b - a, c - a), (d - c, d - b)):
-                for (right, down), most in zip(DIRECTIONS, reach, strict=True):
+                for (right, down), most in zip(RISE_DIRECTIONS, reach, strict=True):
                     assert right * float(rise[0]) + down * float(rise[1]) <= most + 1e-3
 
 
@@ -102,16 +102,16 @@ def test_much_is_left_out_and_what_casts_is_not(blocks):
 def test_ground_with_a_gap_is_kept_where_it_is_high_enough(write_raster, make_scene):
     """A plateau behind a gap in the data has no facet that is turned away from the sun, and shades what lies below."""
     height = np.zeros((SIDE, SIDE), np.float32)
-    height[600:] = 120.0
-    height[560:600] = np.nan
-    scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0, nodata=np.nan), 180.0, 8.0)
-    view = scene.view(bounds=(3000.0, 3450.0, 5000.0, 5000.0), size=(200, 155))
+    height[700:] = 120.0
+    height[550:700] = np.nan
+    scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0, nodata=np.nan), 180.0, 3.0)
+    view = scene.view(bounds=(3000.0, 3600.0, 5000.0, 5000.0), size=(200, 140))
     buffer = geometry_of(scene, view)
     casters = casters_of(scene, buffer)
     casters = replace(casters, idle=idle_patches(scene, buffer, casters.patches))
     everything = Casters(casters.patches, casters.reach)
-    lit = lit_under(scene, buffer, everything, 8.0)
-    assert not lit.all() and np.array_equal(lit, lit_under(scene, buffer, casters, 8.0))
+    lit = lit_under(scene, buffer, everything, 3.0)
+    assert not lit.all() and np.array_equal(lit, lit_under(scene, buffer, casters, 3.0))
 
 
 @pytest.mark.parametrize(("wall_m", "casts"), [(100.0, True), (20.0, False)])
