@@ -59,7 +59,7 @@ MAY_IMPORT = {
     "shadows.coarse_pixels": "block_casters layer_collector passes plan registry visibility",
     "shadows.map_edges": "block_casters coarse_pixels passes plan visibility",
     "shadows.render": "block_casters coarse_pixels executed_effects layer_collector map_edges passes plan registry visibility",
-    "shadows.ground_pictures": "coarse_pixels passes plan registry render visibility",
+    "shadows.ground_pictures": "coarse_pixels passes plan render visibility",
     "shadows.sunlit_ground": "attached coarse_pixels passes plan visibility",
     "shadows.sun_hours": "plan render sweep",
     "selector.formatting": "",

@@ -12,6 +12,8 @@ more steeply than the ray: over a facet that does not face the sun. So the first
 ground without one may be left out, wherever it lies and however high. This needs ground without gaps: a part at whose nodes, or
 beside them, no height is known is not left out for it, nor is ground of coarser detail, which does not meet its neighbour's edge.
 
+Rays that pass below the edge of ground without a wall count as stopped there, as a sweep has it.
+
 Both are asked of the whole disc of the sun, with what rounding and the sweep's lines may add in hand.
 """
 
@@ -66,7 +68,7 @@ RISE_DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), 
 @dataclass(frozen=True, eq=False)
 class PatchGround:
     """The ground of patches (n,) of one grid, by their parts: ``low_m`` and ``high_m`` of the nodes (n, m), NaN without any, and
-    how far the rises from node to node of its facets reach in ``RISE_DIRECTIONS`` (n, m, 8), metres; and which are ``whole`` (n, m).
+    how far the rises from node to node of its facets reach in ``RISE_DIRECTIONS`` (n, m, 8), metres; and which are ``whole``.
     """
 
     low_m: np.ndarray
