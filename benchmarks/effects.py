@@ -2,6 +2,7 @@
 
     python -m benchmarks.effects levels [--levels jacksboro ...] [--repeats 5] [--json FILE] [--markdown FILE]
     python -m benchmarks.effects plain [--repeats 5] [--json FILE] [--markdown FILE]
+    python -m benchmarks.effects blocks [--repeats 5] [--json FILE] [--markdown FILE]
     python -m benchmarks.effects each [--effects haze ...] [--repeats 5] [--json FILE] [--markdown FILE]
 
 `levels` draws the bundled levels' main views, and the map where there is relief: the plan's frame against the frame with all
@@ -11,6 +12,11 @@ not: there is no snow or haze to draw in a level that names none, so what is sav
 `plain` draws a plain at noon without trees, as a map and as a camera sees it, against a frame made without any code of effects or
 plans: geometry, attached shadow and shading alone, and a frame's data layers. Both are the same picture to the bit. The target is
 for the frame with its plan; ``all on`` is the ratio of a frame with all effects forced on.
+
+`blocks` draws blocks of tiles anywhere on bundled levels of bare ground, ``--repeats`` of each zoom and sun, as the map service
+does: with all that their plans list, and as they are drawn, without what a block provably does not need. It counts the blocks that
+went without ground outside of them and without the sweep, and those in which these changed nothing; the pictures are the same to
+the bit.
 
 `each` draws a scene that calls for an effect, with it and without it. ``ms/Mpx`` is its own pass, ``of shading`` that as a ratio to
 the frame's pass of shading, ``facts_ms`` what the plan spends on its facts; shadows have no pass of their own, and theirs is the
@@ -33,25 +39,32 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar, get_args
+from unittest.mock import patch
 
 import numpy as np
 import rasterio
 from affine import Affine
+from morecantile import tms as matrix_sets
 
 from api.catalogue import bundled_levels, find_level
 from selector.planner.planner import make_plan
 from shadows.attached import attached
+from shadows.executed_effects import executed_effects
+from shadows.ground_pictures import shown_map
 from shadows.render import SHADING_PASS, bands_of, render_frame
 from terrain.cache import clear_caches
+from terrain.casters.slopes import extent_on_grid
 from terrain.describe import describe
 from terrain.effects import EFFECTS
 from terrain.gbuffer.antialias import picture_buffer
 from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView, blocks_of
+from terrain.geo.grid import BLOCK_PX, MapView, blocks_of, tile_grid
 from terrain.gl.device import device
 from terrain.level.level import EffectName, load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 from terrain.shading import shade, sky, srgb_encoded
 
@@ -88,6 +101,13 @@ ELSEWHERE: dict[EffectName, tuple[str, str]] = {
     "soft_edges": ("jacksboro_wooded", "valley"),
 }
 """Bundled levels, and their views, that call for others."""
+
+BARE = ("jacksboro", "jacksboro_alpine")
+COUNTED = ("outside", "no outside", "outside in vain", "sweep", "no sweep", "sweep in vain")
+"""Blocks whose plans list ground outside, those that went without it, those in which it changed nothing; and so of the sweep."""
+
+BLOCK_ZOOMS, BLOCK_SUNS_DEG = (13, 15, 17), (8.0, 20.0, 35.0, 50.0)
+"""Levels, zooms and suns of blocks of bare ground: from about the raster's resolution to a sixteenth of it."""
 
 Row = dict[str, Any]
 T = TypeVar("T")
@@ -238,6 +258,60 @@ def _bare_block(scene: Scene, view: MapView | PerspectiveView) -> list[np.ndarra
     return [srgb_encoded(linear), *layers]
 
 
+def blocks(given: argparse.Namespace) -> list[Row]:
+    """Blocks of tiles with all that their plans list, and as they are drawn."""
+    random, rows = np.random.default_rng(0), []
+    for name in given.levels or BARE:
+        base = build_scene(load_level(find_level(name)))
+        for zoom, altitude in product(BLOCK_ZOOMS, BLOCK_SUNS_DEG):
+            grid = tile_grid(matrix_sets.get("WebMercatorQuad"), zoom)
+            ends = extent_on_grid(base.world, base.elevation, grid)
+            counts, ratios = (
+                dict.fromkeys(("outside", "no outside", "outside in vain", "sweep", "no sweep", "sweep in vain"), 0),
+                [],
+            )
+            for _ in range(given.repeats):
+                row, col = (float(random.integers(first, max(last - BLOCK_PX, first + 1))) for first, last in ends)
+                scene = base.with_sun(SunSpec(azimuth=float(random.uniform(0.0, 360.0)), altitude=altitude))
+                view = MapView(grid, row, col, 1.0, 1.0, BLOCK_PX, BLOCK_PX)
+                _count_block(scene, view, counts, ratios)
+            rows.append(
+                {"level": name, "zoom": zoom, "sun_deg": altitude, "blocks": given.repeats, **counts, "time": _median(ratios)}
+            )
+            print(*rows[-1].values(), flush=True)
+    return rows
+
+
+def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: list[float]) -> None:
+    plans = [make_plan(describe(each, view), each.loaded.level) for each in (scene, forced(scene, {"outside_casters": "off"}))]
+    if "cast_shadows" not in plans[0].runs:
+        return
+    shown, ms = {}, {}
+    for name, plan in ({"first": plans[0], "drawn": plans[0], "alone": plans[1]}).items():  # the first one reads the ground
+        clear_caches("light")
+        start = time.process_time()
+        shown[name] = shown_map(scene, view, plan)
+        ms[name] = time.process_time() - start
+    with (
+        patch("shadows.block_casters.idle_patches", lambda *of: frozenset()),
+        patch("shadows.block_casters.own_ground_is_clear", lambda *of: False),
+    ):
+        clear_caches("light")
+        start = time.process_time()
+        whole = shown_map(scene, view, plans[0])
+        ratios.append(ms["drawn"] / (time.process_time() - start))
+    drawn = shown["drawn"]
+    if (drawn.color != whole.color).any() or (drawn.opacity != whole.opacity).any():
+        raise AssertionError(f"{view}: what was left out shows")
+    ran = executed_effects(drawn.passes)
+    counts["outside"] += "outside_casters" in plans[0].runs
+    counts["no outside"] += "outside_casters" in plans[0].runs - ran
+    counts["outside in vain"] += "outside_casters" in ran and bool((shown["alone"].opacity == whole.opacity).all())
+    counts["sweep"] += 1
+    counts["no sweep"] += "cast_shadows" not in ran
+    counts["sweep in vain"] += "cast_shadows" in ran and not drawn.opacity.any()
+
+
 def each(given: argparse.Namespace) -> list[Row]:
     """Every effect by itself, where it is called for."""
     rows: list[Row] = []
@@ -322,7 +396,12 @@ def _ratio(some: Sequence[TimedFrame], others: Sequence[TimedFrame], key: str) -
     return _median(getattr(one, key) / getattr(other, key) for one, other in zip(some, others, strict=True))
 
 
-MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {"levels": levels, "plain": plain, "each": each}
+MEASUREMENTS: dict[str, Callable[[argparse.Namespace], list[Row]]] = {
+    "levels": levels,
+    "plain": plain,
+    "blocks": blocks,
+    "each": each,
+}
 
 
 def table(rows: list[Row]) -> str:

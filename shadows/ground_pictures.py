@@ -86,7 +86,7 @@ def _ground_picture(scene: Scene, view: MapView, plan: Plan) -> ShownMap | None:
     if not ground.there.any():
         nothing = np.zeros(ground.there.shape, np.uint8)
         return ShownMap(np.zeros((*nothing.shape, 3), np.uint8), nothing, ground.there, (), NO_CASTERS.reach)
-    with log.run(CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS):
+    with log.run(GEOMETRY_PASS):
         reach = reach_over(scene, bare_nodes(scene, ground.window_view, 1)) if plan.casts else NO_CASTERS.reach
     lit = _lit_shares(scene, ground, plan, log)
     if lit is None:

@@ -11,6 +11,7 @@ from morecantile import tms as matrix_sets
 
 from configs import LEVELS_FOLDER
 from shadows.block_casters import NOTHING_CASTS, NOTHING_OUTSIDE
+from shadows.executed_effects import executed_effects
 from shadows.ground_pictures import shown_map
 from shadows.render import Frame, render_frame
 from terrain.cache import clear_caches
@@ -120,5 +121,6 @@ def test_the_record_says_what_a_block_went_without(gl, monkeypatch):
     assert records["outside_casters"].note == NOTHING_OUTSIDE and records["outside_casters"].did_nothing
     assert records["sun/relief: sweep"].note == NOTHING_CASTS and records["sun/relief: sweep"].did_nothing
     assert frame.effects == plan.runs - {"cast_shadows", "outside_casters"}
+    assert executed_effects(shown_map(scene, view, plan).passes) == frame.effects
     with everything_on(monkeypatch):
         assert render_frame(scene, view, plan).effects == plan.runs
