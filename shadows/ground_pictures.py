@@ -87,7 +87,7 @@ def _ground_picture(scene: Scene, view: MapView, plan: Plan) -> ShownMap | None:
         nothing = np.zeros(ground.there.shape, np.uint8)
         return ShownMap(np.zeros((*nothing.shape, 3), np.uint8), nothing, ground.there, (), NO_CASTERS.reach)
     with log.run(GEOMETRY_PASS):
-        reach = reach_over(scene, bare_nodes(scene, ground.window_view, 1)) if plan.casts else NO_CASTERS.reach
+        reach = reach_over(scene, bare_nodes(scene, ground.window_view, 1))
     lit = _lit_shares(scene, ground, plan, log)
     if lit is None:
         return None

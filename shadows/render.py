@@ -17,7 +17,7 @@ from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLayer
 from shadows.plan import Plan
 from shadows.registry import ALGORITHMS
 from shadows.visibility import visibilities_at, with_apparent_sun
-from terrain.casters.reach import NO_CASTERS, Casters, Reach, casters_of, reach_of
+from terrain.casters.reach import Casters, Reach, casters_of, reach_of
 from terrain.effects import EFFECTS
 from terrain.effects.effect import BEFORE_SHADING, ShadingBlock, Stage
 from terrain.errors import InputError, RenderError, UnsupportedError
@@ -202,9 +202,7 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
     with log.run(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
         buffer, own_pixels = picture.buffer, picture.own
-        reach = None
-        if CASTERS_PASS not in plan.runs:
-            reach = reach_of(scene, own_pixels) if plan.casts else NO_CASTERS.reach
+        reach = reach_of(scene, own_pixels) if CASTERS_PASS not in plan.runs else None
     if reach is None:
         casters = casters_beside(scene, plan, own_pixels, lambda: casters_of(scene, own_pixels), log)
     else:

@@ -19,6 +19,8 @@ from shadows.point.place import place_at
 from shadows.render import render_frame
 from shadows.sunlit_ground import rim_points
 from terrain.cache import caches, clear_caches
+from terrain.casters.horizon_bound import patch_ground
+from terrain.casters.reach import Patch
 from terrain.describe import describe
 from terrain.facts.relief_rays import overview_probes
 from terrain.facts.visible_points import probes_in_map
@@ -101,6 +103,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
     bare_nodes(scene, nodes, 1)
     bare_ground(scene, nodes, None)
+    patch_ground(scene.world, scene.elevation, block.view.grid, [Patch(0, 0, 0)])
     rim_points(scene, nodes)
     point = place_at(scene, tuple(place(240, 200)))
     horizon_round(surroundings(scene, point))

@@ -95,14 +95,14 @@ def compare(scene: Scene, monkeypatch: pytest.MonkeyPatch, count: int, seed: int
 @pytest.mark.parametrize("name", quick(LEVELS, "jacksboro"))
 def test_random_windows_of_bundled_levels_are_the_same_to_the_bit(gl, monkeypatch, name):
     scene = build_scene(load_level(LEVELS_FOLDER / f"{name}.yaml"))
-    found = compare(scene, monkeypatch, 8, 5)
+    found = compare(scene, monkeypatch, 8 if name == "jacksboro" else 4, 5)
     print(name, found)
     assert name != "jacksboro" or (found["outside_casters"] > 1 and 0 < found["shadows"] < found["windows"])
 
 
 @pytest.mark.parametrize("source", quick(REAL, REAL[0]))
 def test_random_windows_of_real_mountains_are_the_same_to_the_bit(gl, monkeypatch, shared_data, make_scene, source):
-    found = compare(make_scene(shared_data / source), monkeypatch, 8, 6)
+    found = compare(make_scene(shared_data / source), monkeypatch, 4, 6)
     print(source, found)
 
 
