@@ -23,6 +23,8 @@ from terrain.effects.effect import BEFORE_SHADING, ShadingBlock, Stage
 from terrain.errors import InputError, RenderError, UnsupportedError
 from terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
 from terrain.gbuffer.covered_nodes import PixelsShow
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.subsampled import subsampled_points
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView, blocks_of
 from terrain.geo.world import LocalFrame
@@ -35,6 +37,9 @@ REFRACTION_PASS = "refraction"
 
 MAX_PIXELS = 64_000_000
 """Largest frame: about 1.3 GB of layers."""
+
+REACH_EVERY = 4
+"""Pixels between two from which casters are looked for in a perspective view in which nothing casts."""
 
 BAND_PIXELS = 2**21
 """Pixels of a perspective view that are worked on at a time: about 0.5 GB."""
@@ -169,6 +174,15 @@ def render_frame(
     return replace(whole, view=view, passes=tuple(log.records.values()), reach=reach, layers=kept.whole)
 
 
+def _looked_from(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
+    """The points from which casters are looked for: fewer where nothing casts in a perspective view, since only the report of how
+    far ground counts goes by them.
+    """
+    if plan.casts or isinstance(own_pixels.view, MapView):
+        return own_pixels
+    return subsampled_points(own_pixels, REACH_EVERY)
+
+
 def _empty(view: MapView | PerspectiveView, plan: Plan, part: Frame) -> Frame:
     """The frame of a view before any of its parts is in it, with arrays like those of a part."""
     size = view.rows, view.cols
@@ -202,7 +216,7 @@ def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log
     with log.run(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
         buffer, own_pixels = picture.buffer, picture.own
-        reach = reach_of(scene, own_pixels) if CASTERS_PASS not in plan.runs else None
+        reach = reach_of(scene, _looked_from(own_pixels, plan)) if CASTERS_PASS not in plan.runs else None
     if reach is None:
         casters = casters_beside(scene, plan, own_pixels, lambda: casters_of(scene, own_pixels), log)
     else:

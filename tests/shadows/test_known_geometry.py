@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pyproj import CRS
 from scipy.spatial import ConvexHull
 
-from terrain.casters.reach import longest_shadow_m
+from terrain.casters.reach import longest_shadow_m, reach_of
+from terrain.gbuffer.picture import geometry_of
 from terrain.geo.grid import MapView
+from terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render, shadow
@@ -102,3 +105,23 @@ def test_far_ridge_shades_a_tile_and_a_cut_raster_says_so(gl, pixel_m, write_ras
     assert shadow(whole)[:, :40].all()
     assert cut.reach.clipped and cut.reach.used_m < cut.reach.needed_m
     assert not shadow(cut).any()
+
+
+def test_a_view_in_which_nothing_casts_says_how_far_ground_would_count(gl, write_raster, make_scene):
+    """Level ground that ends 700 m towards the sun: a mountain beyond could shade it, and nobody knows of one. It is told from some
+    of a picture's points as from all of them.
+    """
+    raster = write_raster(np.zeros((120, 120), np.float32), "EPSG:32633", 450_000.0, 5_020_000.0, 30.0)
+    to_degrees = transformer(CRS.from_epsg(32633), LONGITUDE_LATITUDE).transform
+    eye, target = (
+        [*to_degrees(451_800.0, 5_020_000.0 - south_m), above_m] for south_m, above_m in ((2_900.0, 120.0), (1_500.0, 0.0))
+    )
+    look = {"kind": "perspective", "eye": eye, "target": target, "fov": 50, "size": [200, 150]}
+    scene = make_scene(raster, 180.0, 40.0, views={"eye": look})
+    view = scene.view("eye")
+    frame = render(scene, view)
+    assert not frame.plan.casts
+    assert frame.reach.clipped and frame.reach.used_m < frame.reach.needed_m
+    whole = reach_of(scene, geometry_of(scene, view))
+    assert frame.reach.needed_m == pytest.approx(whole.needed_m, rel=0.02)
+    assert frame.reach.used_m == pytest.approx(whole.used_m, rel=0.02, abs=30.0)
