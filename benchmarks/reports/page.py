@@ -49,9 +49,9 @@ def readme_figure(records: Mapping[str, Figures]) -> str:
     """The plot of a scene and what it shows."""
     each = records[IN_README]
     found = [(goal.name, GoalInstance(each, goal, None).cheapest) for goal in TARGETS]
-    reached = [f"at most {goal} in {_time(each['rows'][row])} (`{row}`)" for goal, row in found if row is not None]
+    reached = [f"{goal} in {_time(each['rows'][row])} (`{row}`)" for goal, row in found if row is not None]
     missed = [goal for goal, row in found if row is None]
-    sentences = [f"Of the cast shadow is wrong {', '.join(reached)}."] if reached else []
+    sentences = [f"Fastest with at most so much of the cast shadow wrong: {', '.join(reached)}."] if reached else []
     sentences += [f"No row gets down to {' or '.join(missed)}."] if missed else []
     return (
         f"![{each['title']}: error against time of {_judged(each)} rows](docs/images/compare-{IN_README}.svg)\n\n"

@@ -28,8 +28,8 @@ TRACK_MIN = 15
 """Minutes over which the sun's way is taken for a parabola."""
 
 MOST_MISSED_MIN = 0.006
-"""Minutes of a day that long steps may miss, in the mean of cells: mountains come to 0.000 to 0.004, cities to 0.013 to 0.06, and
-surfaces of woods to 0.05 to 0.17.
+"""Minutes of a day that long steps may miss, in the mean of cells: mountains come to 0.000 to 0.005, cities to 0.02 to 0.06, and
+surfaces of woods to 0.05 to 0.19.
 """
 
 UPRIGHT = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
