@@ -9,8 +9,10 @@ from typing import Any, Literal, Protocol
 from terrain.level.algorithm_names import AlgorithmName
 from terrain.level.level import CasterKind, EffectName, Shadows
 
-PolicyName = Literal["rules", "predict", "measure"]
-"""``rules``: what is known beforehand; ``predict``: cost and error models; ``measure``: candidates run against truth."""
+PolicyName = Literal["rules", "predict", "probe", "measure"]
+"""``rules``: what is known beforehand; ``predict``: cost and error models; ``probe``: the same, corrected by some candidates that
+were drawn on the scene and held against truth; ``measure``: a probe without a limit of time.
+"""
 
 
 class PlanRequest(Protocol):

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import exp, log
+from math import log
 
+from selector.belief import logistic_chance_over
 from selector.ranking import CandidateFigures, RankingResult, best, relative_overshoot
 from shadows.registry import NO_SHADOWS
 
@@ -21,27 +22,24 @@ MISS_PENALTY = 10.0
 LIKELY_MISS_CHANCE = 0.5
 """A candidate that misses with no larger chance is taken to meet the target."""
 
-TIME_SPREAD = 0.2
-"""The scale of the logistic distribution of times about those expected, in logarithms: half of them are off by a fifth."""
-
 
 @dataclass(frozen=True)
 class Forecast:
-    """A candidate's expected figures, and the chance in [0, 1] that it misses the error that is asked for."""
+    """A candidate's expected figures, the chance in [0, 1] that it misses the error that is asked for, and the scale of the
+    logistic distribution of its time's logarithm about the one expected.
+    """
 
     figures: CandidateFigures
     error_miss_chance: float
+    time_spread: float
+
+    def late_chance(self, max_ms: float | None) -> float:
+        """The chance that it takes longer (``None``: no limit)."""
+        return 0.0 if max_ms is None else logistic_chance_over(log(max(self.figures.ms, 1e-9) / max_ms), self.time_spread)
 
     def miss_chance(self, max_ms: float | None) -> float:
         """The chance that it misses the error or the time."""
-        return 1.0 - (1.0 - self.error_miss_chance) * (1.0 - late_chance(self.figures.ms, max_ms))
-
-
-def late_chance(ms: float, max_ms: float | None) -> float:
-    """The chance that what is expected to take ``ms`` milliseconds takes more than ``max_ms`` (``None``: no limit)."""
-    if max_ms is None:
-        return 0.0
-    return 1.0 / (1.0 + exp(-max(min(log(max(ms, 1e-9) / max_ms) / TIME_SPREAD, 50.0), -50.0)))
+        return 1.0 - (1.0 - self.error_miss_chance) * (1.0 - self.late_chance(max_ms))
 
 
 def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms: float | None = None) -> RankingResult:
@@ -64,9 +62,7 @@ def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms:
             key=lambda forecast: (_expected(forecast.figures.ms, miss_ms, forecast.miss_chance(max_ms)), forecast.figures.name),
         )
         return RankingResult(winner.figures, True, None)
-    in_time = [
-        forecast for forecast in candidates if max_ms is not None and late_chance(forecast.figures.ms, max_ms) <= LIKELY_MISS_CHANCE
-    ]
+    in_time = [forecast for forecast in candidates if max_ms is not None and forecast.late_chance(max_ms) <= LIKELY_MISS_CHANCE]
     if not in_time:
         return best([forecast.figures for forecast in candidates], max_error, max_ms)
     over = {forecast.figures.name: relative_overshoot(forecast.figures, max_error) for forecast in in_time}
@@ -74,7 +70,7 @@ def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms:
     nearest = min(
         in_time,
         key=lambda forecast: (
-            _expected(over[forecast.figures.name], missed, late_chance(forecast.figures.ms, max_ms)),
+            _expected(over[forecast.figures.name], missed, forecast.late_chance(max_ms)),
             forecast.figures.ms,
         ),
     )

@@ -1,49 +1,52 @@
-"""The ``predict`` policy: of the portfolio the choice whose expected time and error a target asks for."""
+"""The ``predict`` policy: of the portfolio the choice whose expected time and error a target asks for.
+
+What is expected comes from models, and where some choices were seen (probed on the scene itself), from that.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from selector.choices import Choice, PlanRequest
-from selector.cost.cost_model import predicted_ms
+from selector.choices import Choice, PlanRequest, PolicyName
 from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import ErrorModel, ExpectedErrors, errors_together, packaged_model, wrong_of_step
-from selector.cost.unmeasured import UnmeasuredError
-from selector.expected_loss import LIKELY_MISS_CHANCE, Forecast, least_expected_loss
+from selector.cost.error_model import ErrorModel
+from selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
 from selector.formatting import format_duration, format_percent
+from selector.options import LightOptions, Seen, predicted_choices
 from selector.planner.advice import choices_by_rules
 from selector.planner.planner import Planner, planner_of
-from selector.portfolio import portfolio
-from selector.ranking import CandidateFigures, RankingResult
+from selector.ranking import RankingResult
 from shadows.algorithm import Reasoned
-from shadows.plan import Plan, Predicted, Step, Target
+from shadows.plan import Plan, Predicted, Target
 from shadows.registry import ALGORITHMS
 from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import CasterKind
 
 NOT_PREDICTED = "nothing can be predicted, so the rules decide"
 
 
-@dataclass(frozen=True)
-class PredictedChoice:
-    """A choice for a light with the steps that it comes to, and what is expected of them."""
+@dataclass(frozen=True, eq=False)
+class PlanOptions:
+    """What a plan is chosen from: the options of each light that casts shadows, and why algorithms are not among them."""
 
-    choice: Choice
-    steps: tuple[Step, ...]
-    ms: float
-    errors: ExpectedErrors
+    planner: Planner
+    lights: Mapping[str, LightOptions]
+    unmeasured: Mapping[AlgorithmName, str] = field(default_factory=dict)
 
     @property
-    def algorithms(self) -> frozenset[AlgorithmName]:
-        return frozenset(step.algorithm for step in self.steps)
+    def max_error(self) -> float:
+        return self.planner.asked.max_error
 
-    def forecast(self, max_error: float) -> Forecast:
-        """What there is to hope for of it with a target."""
-        figures = CandidateFigures(self.choice.name, self.ms, self.errors.wrong_cast, self.errors.interior)
-        return Forecast(figures, self.errors.chance_over(max_error))
+    def shares_ms(self) -> dict[str, float | None]:
+        """Of the time for all lights the part of each: as much as it would take without a limit, in proportion."""
+        max_ms = self.planner.asked.max_ms
+        if max_ms is None:
+            return dict.fromkeys(self.lights)
+        needed = {light: least_expected_loss(its.forecasts(self.max_error), self.max_error) for light, its in self.lights.items()}
+        needed_ms = max(sum(verdict.winner.ms for verdict in needed.values()), 1e-9)
+        return {light: max_ms * verdict.winner.ms / needed_ms for light, verdict in needed.items()}
 
 
 def predicted_plan(
@@ -52,131 +55,96 @@ def predicted_plan(
     overrides: dict[str, Any] | None,
     device: DeviceProfile,
     errors: ErrorModel | None = None,
+    seen: Mapping[str, Sequence[Seen]] | None = None,
 ) -> Plan:
     """The plan of the choices with the least expected loss (``selector.expected_loss``): the cheapest that are likely to meet
     ``max_error``, or the most accurate within ``max_ms``; where none is, the nearest, marked as missing the target. ``errors`` are
-    other constants than those fitted.
+    other constants than those fitted, ``seen`` by light what was seen of choices.
 
     Raises ``InputError`` and ``UnsupportedError`` as ``make_plan`` does.
     """
-    planner = planner_of(descriptor, plan_request, overrides)
-    shadows = planner.asked
-    casting = {light: planner.casting(light) for light in descriptor.light_kinds}
+    options = plan_options(planner_of(descriptor, plan_request, overrides), device, errors)
+    corrected = {light: its.after((seen or {}).get(light, ())) for light, its in options.lights.items()}
+    return plan_of(replace(options, lights=corrected), "predict")
+
+
+def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | None = None) -> PlanOptions:
+    """What a plan is chosen from, before anything was seen."""
     unmeasured: dict[AlgorithmName, str] = {}
-    options = {
-        light: predicted_choices(planner, light, kinds, device, errors, unmeasured) for light, kinds in casting.items() if kinds
+    lights = {}
+    for light in planner.descriptor.light_kinds:
+        if kinds := planner.casting(light):
+            options = predicted_choices(planner, light, kinds, device, errors, unmeasured)
+            lights[light] = LightOptions.expected(options, errors)
+    return PlanOptions(planner, lights, unmeasured)
+
+
+def plan_of(options: PlanOptions, policy: PolicyName, reasons: Sequence[Reasoned] = ()) -> Plan:
+    """The plan of what is believed of the options, with what speaks for it; ``reasons`` are others."""
+    planner, max_error = options.planner, options.max_error
+    if not all(its.numbers for its in options.lights.values()):
+        return _by_rules(options)
+    verdicts = {
+        light: least_expected_loss(options.lights[light].forecasts(max_error), max_error, share_ms)
+        for light, share_ms in options.shares_ms().items()
     }
-    if not all(options.values()):
-        return _by_rules(planner, unmeasured)
-    forecasts = {
-        light: [option.forecast(shadows.max_error) for option in light_options] for light, light_options in options.items()
-    }
-    verdicts = {light: least_expected_loss(light_options, shadows.max_error) for light, light_options in forecasts.items()}
-    needed_ms = sum(verdict.winner.ms for verdict in verdicts.values())
-    if shadows.max_ms is not None and options:
-        shares = {light: shadows.max_ms * verdict.winner.ms / max(needed_ms, 1e-9) for light, verdict in verdicts.items()}
-        verdicts = {
-            light: least_expected_loss(light_options, shadows.max_error, shares[light])
-            for light, light_options in forecasts.items()
-        }
-    winners = {
-        light: next(option for option in light_options if option.choice.name == verdicts[light].winner.name)
-        for light, light_options in options.items()
-    }
-    choices = {
-        light: _with_words(option, options[light], casting[light], verdicts[light], shadows.max_error)
-        for light, option in winners.items()
-    }
-    plan = planner.plan(choices, unmeasured | _rejected(options, winners, shadows.max_error))
+    winners = {light: options.lights[light].number(verdict.winner.name) for light, verdict in verdicts.items()}
+    choices = {light: _with_words(options, light, which, verdicts[light]) for light, which in winners.items()}
+    plan = planner.plan(choices, dict(options.unmeasured) | _rejected(options, winners))
+    taken = [(options.lights[light], which) for light, which in winners.items()]
     return plan.model_copy(
         update={
-            "policy": "predict",
+            "policy": policy,
             "predicted": Predicted(
-                ms=sum(option.ms for option in winners.values()),
-                wrong=max((option.errors.wrong for option in winners.values()), default=0.0),
-                wrong_cast=max((option.errors.wrong_cast for option in winners.values()), default=0.0),
+                ms=sum(its.figures(which).ms for its, which in taken),
+                wrong=max((its.wrong(which) for its, which in taken), default=0.0),
+                wrong_cast=max((its.figures(which).error for its, which in taken), default=0.0),
             ),
             "target": Target(
-                max_error=shadows.max_error, max_ms=shadows.max_ms, met=all(verdict.met for verdict in verdicts.values())
+                max_error=max_error, max_ms=planner.asked.max_ms, met=all(verdict.met for verdict in verdicts.values())
             ),
-            "reasons": [*_missed(verdicts), *plan.reasons],
+            "reasons": [*_missed(options, winners, verdicts), *plan.reasons, *reasons],
         }
     )
 
 
-def _by_rules(planner: Planner, unmeasured: Mapping[AlgorithmName, str]) -> Plan:
+def _by_rules(options: PlanOptions) -> Plan:
     """The plan of the rules, where for some light nothing that can be taken has been measured."""
-    plan = planner.plan(choices_by_rules(planner.descriptor, planner.asked), unmeasured)
-    why = "; ".join(f"{name}: {why}" for name, why in unmeasured.items())
+    planner = options.planner
+    plan = planner.plan(choices_by_rules(planner.descriptor, planner.asked), options.unmeasured)
+    why = "; ".join(f"{name}: {why}" for name, why in options.unmeasured.items())
     return plan.model_copy(update={"reasons": [*plan.reasons, Reasoned(name="policy rules", reason=f"{NOT_PREDICTED}: {why}")]})
 
 
-def predicted_choices(
-    planner: Planner,
-    light: str,
-    kinds: Sequence[CasterKind],
-    device: DeviceProfile,
-    errors: ErrorModel | None = None,
-    unmeasured: dict[AlgorithmName, str] | None = None,
-) -> list[PredictedChoice]:
-    """What can be chosen for a light, no two that come to the same steps, with what is expected of each.
-
-    An algorithm of which nothing can be expected is left out, and put into ``unmeasured`` with the reason.
-    """
-    descriptor, model = planner.descriptor, errors or packaged_model()
-    options: dict[tuple[object, ...], PredictedChoice] = {}
-    known: dict[object, tuple[float, float]] = {}
-    for choice in portfolio(descriptor, light, kinds, planner.asked):
-        steps = planner.steps(light, choice)
-        # Many picks share steps. A planner's equal settings are one, and values are slow to compare.
-        keys = tuple((step.algorithm, step.kinds, id(step.settings)) for step in steps)
-        if keys in options:
-            continue
-        try:
-            for key, step in zip(keys, steps, strict=True):
-                if key not in known:
-                    ms = predicted_ms(device, descriptor, light, step.kinds, step.algorithm, step.settings)
-                    known[key] = ms, wrong_of_step(descriptor, light, step, model)
-        except UnmeasuredError as error:
-            if unmeasured is not None:
-                unmeasured[error.algorithm] = error.why
-            continue
-        wrong = [(step, known[key][1]) for key, step in zip(keys, steps, strict=True)]
-        options[keys] = PredictedChoice(
-            choice, steps, sum(known[key][0] for key in keys), errors_together(descriptor, light, wrong, model)
-        )
-    return list(options.values())
-
-
-def _with_words(
-    winner: PredictedChoice,
-    options: Sequence[PredictedChoice],
-    kinds: Sequence[CasterKind],
-    verdict: RankingResult,
-    max_error: float,
-) -> Choice:
+def _with_words(options: PlanOptions, light: str, which: int, verdict: RankingResult) -> Choice:
     """The choice with the reasons for it."""
-    expectation = f"{format_percent(winner.errors.wrong_cast)} of the cast shadow wrong in {format_duration(winner.ms)} expected"
+    its, max_error = options.lights[light], options.max_error
+    winner, figures = its.options[which], its.figures(which)
+    how = "measured" if which in its.seen else "expected"
+    expectation = f"{format_percent(figures.error)} of the cast shadow wrong in {format_duration(figures.ms)} {how}"
     settings = " ".join(f"{key} {value}" for key, value in winner.choice.settings.items())
     if not verdict.met:
         why = f"{expectation}: nothing is expected to meet the target, and this comes nearest"
     else:
-        why = f"{expectation}, {_chance(winner, max_error)}; "
-        others = [option for option in options if option.algorithms != winner.algorithms]
-        likely = [option for option in others if option.errors.chance_over(max_error) <= LIKELY_MISS_CHANCE]
-        beside = min(likely, key=lambda option: option.ms, default=None)
+        why = f"{expectation}, {_chance(its, which, max_error)}; "
+        others = [number for number in its.numbers if its.options[number].algorithms != winner.algorithms]
+        likely = [number for number in others if its.miss_chance(number, max_error) <= LIKELY_MISS_CHANCE]
+        beside = min(likely, key=lambda number: its.figures(number).ms, default=None)
         if beside is None:
             why += f"nothing else is expected to keep to {_limit(max_error)}"
-        elif beside.ms >= winner.ms:
-            why += f"the fastest other choice within {_limit(max_error)} is {beside.choice.name}, {format_duration(beside.ms)}"
+        elif (ms := its.figures(beside).ms) >= figures.ms:
+            why += (
+                f"the fastest other choice within {_limit(max_error)} is {its.options[beside].choice.name}, {format_duration(ms)}"
+            )
         else:
-            why += f"{beside.choice.name} would take {format_duration(beside.ms)} {_chance(beside, max_error)}"
+            why += f"{its.options[beside].choice.name} would take {format_duration(ms)} {_chance(its, beside, max_error)}"
     sizes = f"needed for the target ({settings})"
+    kinds = options.planner.casting(light)
     return replace(winner.choice, why={**dict.fromkeys(kinds, why), **dict.fromkeys(winner.choice.settings, sizes)})
 
 
-def _chance(option: PredictedChoice, max_error: float) -> str:
-    chance = option.errors.chance_over(max_error)
+def _chance(its: LightOptions, which: int, max_error: float) -> str:
+    chance = its.miss_chance(which, max_error)
     return f"with {'hardly a' if chance < 0.01 else f'a {format_percent(chance)}'} chance of more than {_limit(max_error)}"
 
 
@@ -184,31 +152,34 @@ def _limit(max_error: float) -> str:
     return f"{100.0 * max_error:g} %"
 
 
-def _rejected(
-    options: Mapping[str, Sequence[PredictedChoice]], winners: Mapping[str, PredictedChoice], max_error: float
-) -> dict[AlgorithmName, str]:
-    """Why algorithms that could serve were not taken: the best that was expected of them."""
+def _rejected(options: PlanOptions, winners: Mapping[str, int]) -> dict[AlgorithmName, str]:
+    """Why algorithms that could serve were not taken: the best that was expected of them, or seen."""
     reasons: dict[AlgorithmName, str] = {}
+    max_error = options.max_error
     for name in ALGORITHMS:
-        for light, light_options in options.items():
-            candidates = [option for option in light_options if name in option.algorithms]
-            if not candidates or name in winners[light].algorithms:
+        for light, its in options.lights.items():
+            numbers = [number for number in its.numbers if name in its.options[number].algorithms]
+            if not numbers or name in its.options[winners[light]].algorithms:
                 continue
-            verdict = least_expected_loss([option.forecast(max_error) for option in candidates], max_error)
-            nearest = next(option for option in candidates if option.choice.name == verdict.winner.name)
+            verdict = least_expected_loss([its.forecast(number, max_error) for number in numbers], max_error)
+            nearest = its.number(verdict.winner.name)
+            how = "measured" if nearest in its.seen else "expected"
             if verdict.met:
                 reasons[name] = (
-                    f"expected: {format_duration(nearest.ms)} with {nearest.choice.name}, {_chance(nearest, max_error)}; "
-                    f"{format_duration(winners[light].ms)} with the choice"
+                    f"{how}: {format_duration(verdict.winner.ms)} with {verdict.winner.name}, {_chance(its, nearest, max_error)}; "
+                    f"{format_duration(its.figures(winners[light]).ms)} with the choice"
                 )
             else:
-                reasons[name] = f"expected at best: {verdict.missed_by}"
+                reasons[name] = f"{how} at best: {verdict.missed_by}"
     return reasons
 
 
-def _missed(verdicts: Mapping[str, RankingResult]) -> list[Reasoned]:
+def _missed(options: PlanOptions, winners: Mapping[str, int], verdicts: Mapping[str, RankingResult]) -> list[Reasoned]:
     return [
-        Reasoned(name=f"{light}: target missed", reason=f"expected: {verdict.missed_by}")
+        Reasoned(
+            name=f"{light}: target missed",
+            reason=f"{'measured' if winners[light] in options.lights[light].seen else 'expected'}: {verdict.missed_by}",
+        )
         for light, verdict in verdicts.items()
         if not verdict.met
     ]

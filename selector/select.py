@@ -33,8 +33,8 @@ def select(
 
     Raises ``InputError`` for what is wrong, ``measure`` among it, and ``UnsupportedError`` for what cannot be served.
     """
-    if policy == "measure":
-        raise InputError("policy", policy, "rules, predict; measure needs the scene itself (skugga select)")
+    if policy in ("probe", "measure"):
+        raise InputError("policy", policy, f"rules, predict; {policy} needs the scene itself (skugga select)")
     if policy == "predict" and device is not None:
         from selector.predict import predicted_plan
 
@@ -52,10 +52,14 @@ def plan_of_view(
     overrides: dict[str, Any] | None = None,
     policy: PolicyName = "predict",
     device: DeviceProfile | None = None,
+    budget_s: float | None = None,
 ) -> Plan:
-    """The plan of a scene's view by any policy. Raises as ``select`` does."""
-    if policy == "measure":
-        from selector.measure.measuring import measured_plan
+    """The plan of a scene's view by any policy; ``budget_s`` is the time of the policy ``probe``, seconds. Raises as ``select``
+    does.
+    """
+    if policy in ("probe", "measure"):
+        from selector.measure.probe import DEFAULT_BUDGET_S, probed_plan
 
-        return measured_plan(scene, view, name, overrides)
+        budget_s = None if policy == "measure" else budget_s or DEFAULT_BUDGET_S
+        return probed_plan(scene, view, name, overrides, device=device, budget_s=budget_s).plan
     return select(describe(scene, view, name), scene.loaded.level, overrides, policy, device)

@@ -66,7 +66,7 @@ class Plan(_Value):
     """What will be done for a view, and why."""
 
     view: str
-    policy: Literal["rules", "predict", "measure"]
+    policy: Literal["rules", "predict", "probe", "measure"]
     algorithm: dict[str, dict[CasterKind, AlgorithmName]]
     settings: dict[str, dict[CasterKind, Annotated[SerializeAsAny[AlgorithmSettings], _OfAlgorithms()]]]
     effects: list[Reasoned]

@@ -269,10 +269,11 @@ def select(
     policy: Annotated[
         str,
         typer.Option(
-            help="rules: fixed rules; predict: cost and error models of this device; measure: tries candidates and compares them "
-            "with ray-traced truth (minutes)."
+            help="rules: fixed rules; predict: cost and error models of this device; probe: the same, corrected by candidates that "
+            "are drawn and compared with ray-traced truth; measure: a probe without a limit of time (minutes)."
         ),
-    ] = "predict",
+    ] = "probe",
+    budget: Annotated[str | None, typer.Option(metavar="TIME", help="Time of a probe, as 3s (the default) or 1m.")] = None,
     as_json: JsonOption = False,
     write: Annotated[bool, typer.Option("--write", help="Pin the choice into the level file.")] = False,
     descriptor: Annotated[
@@ -294,8 +295,8 @@ def select(
     check_targets(level, [("--descriptor", descriptor)])
     overrides = overrides_of("select", asked)
     view_options = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
-    with _waiting("Measuring" if policy == "measure" else "Choosing"):
-        choice = plan_level_view(level, view, policy, overrides, *view_options, ignore_pin=write)
+    with _waiting({"measure": "Measuring", "probe": "Probing"}.get(policy, "Choosing")):
+        choice = plan_level_view(level, view, policy, overrides, *view_options, ignore_pin=write, budget=budget)
         message = pin_plan(choice) if write else None
     if descriptor is not None:
         write_descriptor(choice, descriptor)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 from api.cli.snapshot import scene_and_view
+from api.cli.times import duration_of
 from api.device_calibration import calibration_for
 from api.report.plan_text import POLICIES, format_choices, format_expectation, format_heading, format_view_and_sun
 from selector.choices import PlanRequest, PolicyName, StandaloneRequest
@@ -52,19 +53,22 @@ def plan_level_view(
     crs: str | None = None,
     seconds: float | None = None,
     ignore_pin: bool = False,
+    budget: str | None = None,
 ) -> PlannedView:
-    """Choose for a view of a level; ``ignore_pin``: as if no earlier choice had been pinned into its file. Raises
-    ``SkuggaError``.
+    """Choose for a view of a level; ``ignore_pin``: as if no earlier choice had been pinned into its file. ``budget`` is the time
+    of the policy ``probe``, as 3s. Raises ``SkuggaError``.
     """
     if policy not in get_args(PolicyName):
         raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
+    if budget is not None and policy != "probe":
+        raise InputError("--budget", budget, f"nothing with --policy {policy}: it is the time of a probe")
+    budget_s = None if budget is None else duration_of("--budget", budget).total_seconds()
     scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
     if ignore_pin:
         scene = _unpinned(scene)
-    device = calibration_for(scene.loaded.level.shadows, overrides) if policy == "predict" else None
-    return PlannedView(
-        level.path, scene, view_value, plan_of_view(scene, view_value, view, overrides, cast(PolicyName, policy), device)
-    )
+    device = calibration_for(scene.loaded.level.shadows, overrides) if policy != "rules" else None
+    plan = plan_of_view(scene, view_value, view, overrides, cast(PolicyName, policy), device, budget_s)
+    return PlannedView(level.path, scene, view_value, plan)
 
 
 def pin_plan(choice: PlannedView) -> str:

@@ -108,9 +108,10 @@ async def plan_query(
     **asked: Any,
 ) -> PlanQuery:
     """The dependency for plans. Raises ``InputError``."""
-    if policy == "measure":
-        allowed = "rules, predict; measure takes minutes: skugga select --policy measure"
-        raise InputError("policy", policy, allowed)
+    if policy in ("probe", "measure"):
+        raise InputError(
+            "policy", policy, f"rules, predict; {policy} takes too long for a request: skugga select --policy {policy}"
+        )
     if policy not in get_args(ServedPolicy):
         raise InputError("policy", policy, ", ".join(get_args(ServedPolicy)))
     return PlanQuery(cast(ServedPolicy, policy), _served(asked))

@@ -19,7 +19,7 @@ from terrain.scene import Scene
 LINE_WIDTH = 100
 """Characters of a line, at most."""
 
-POLICIES = {"rules": "by the rules", "predict": "by prediction", "measure": "by measuring"}
+POLICIES = {"rules": "by the rules", "predict": "by prediction", "probe": "by a probe", "measure": "by measuring"}
 
 COMPASS_POINTS = (
     "north", "north-north-east", "north-east", "east-north-east", "east", "east-south-east", "south-east", "south-south-east",
@@ -90,7 +90,7 @@ def format_expectation(plan: Plan) -> str:
     target = format_target(plan.target)
     if plan.predicted is None:
         return f"Time and error are not predicted. Asked for: {target}."
-    verb = "Measured" if plan.policy == "measure" else "Expected"
+    verb = "Measured" if plan.policy in ("probe", "measure") else "Expected"
     text = (
         f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, "
         f"{format_percent(plan.predicted.wrong_cast)} of the cast shadow wrong."

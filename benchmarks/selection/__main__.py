@@ -1,10 +1,11 @@
 """How well the selector chooses: every choice of many views measured, and what each policy takes held against the best of them.
 
     python -m benchmarks.selection measure DATA [--folder build/selection] [--only NAME ...]   an hour on two cores
-    python -m benchmarks.selection choose DATA [--folder build/selection]     what the policy `measure` takes; as long again
+    python -m benchmarks.selection probe DATA [--folder build/selection]      what probes see of every choice; half an hour
     python -m benchmarks.selection describe DATA [--folder build/selection]   descriptors, and what planning takes
     python -m benchmarks.selection keep [--folder build/selection]            write it all to benchmarks/selection/selection.jsonl
-    python -m benchmarks.selection fit                                        write selector/cost/error_model.json from there
+    python -m benchmarks.selection fit                                        write selector/cost/error_model.json and
+                                                                              usual_device.json from there
     python -m benchmarks.selection judge [--write]                            print the tables of docs/selection.md, or write them,
                                                                               and what accuracy costs into README and docs
 
@@ -22,18 +23,19 @@ from typing import Any
 
 from benchmarks.selection.cost_of_accuracy import write_cost_of_accuracy
 from benchmarks.selection.fit import cases_of, fit_model
-from benchmarks.selection.measure import chosen, measured, redescribed, timed
+from benchmarks.selection.measure import measured, probes, redescribed, timed
 from benchmarks.selection.page import page, with_tables
 from benchmarks.selection.table import read_table, write_table
 from benchmarks.selection.views import ViewInstance, instances
 from selector.cost.device_profile import load_profile
 from terrain.gl.device import device
 
-WORK_STEPS = {"measure": "rows", "time": "anew", "choose": "measured", "describe": "plan_ms"}
+WORK_STEPS = {"measure": "rows", "time": "anew", "describe": "plan_ms", "probe": "probe"}
 """What is done view by view, and the key of a record that says that it was."""
 
 PAGE = Path(__file__).parents[2] / "docs" / "selection.md"
 MODEL = Path(__file__).parents[2] / "selector" / "cost" / "error_model.json"
+USUAL_DEVICE = MODEL.with_name("usual_device.json")
 
 
 def _rounded(value: Any) -> Any:
@@ -62,10 +64,11 @@ def main() -> None:
             parser.error("the device is not calibrated: skugga calibrate")
         write_table([record for one in instances() if (record := _read(args.folder, one)) is not None], profile)
     elif args.what == "fit":
-        views, _ = read_table()
-        model = fit_model([case for view in views for case in cases_of(view)])
+        views, profile = read_table()
+        model = fit_model([case for view in views if not view.get("unseen") for case in cases_of(view)], profile)
         rounded = {key: _rounded(value) for key, value in model.model_dump(mode="json").items()}
         MODEL.write_text(json.dumps(rounded, indent=2) + "\n", encoding="utf-8")
+        USUAL_DEVICE.write_text(profile.model_dump_json(indent=1) + "\n", encoding="utf-8")
     else:
         views, profile = read_table()
         text = page(views, profile)
@@ -88,7 +91,7 @@ def _go_on(what: str, data: Path, folder: Path, only: list[str], again: bool) ->
         made = (
             measured(instance, data)
             if record is None
-            else {"time": timed, "choose": chosen, "describe": redescribed}[what](instance, data, record)
+            else {"time": timed, "describe": redescribed, "probe": probes}[what](instance, data, record)
         )
         _path(folder, instance).write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
         print(f"{instance.name}: {time.perf_counter() - start:.1f} s", flush=True)

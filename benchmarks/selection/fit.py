@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import log
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from selector.belief import SharedVariance
 from selector.choices import StandaloneRequest
+from selector.cost.cost_model import predicted_ms
+from selector.cost.device_profile import DeviceProfile
 from selector.cost.error_model import (
     LEAST,
     LEAST_INTERIOR,
@@ -17,10 +21,13 @@ from selector.cost.error_model import (
     ErrorModel,
     ExpectedErrors,
     HillCurve,
+    SharedErrors,
     error_group_of,
     error_groups,
     expected_errors,
     kinds_of_step,
+    log_error,
+    log_interior,
     smoothed_ladder,
     texel_px_of,
 )
@@ -53,6 +60,12 @@ DRAWN_BACK = 0.1
 
 TOLD = 5e-4
 """From this share of wrong pixels on it is told how many of them lie inside."""
+
+USUAL_TIME_SPREAD = 0.2
+"""That of times, where no calibration is at hand."""
+
+NOTHING_SHARED = SharedVariance(view=0.0, family=0.0)
+APART = SharedErrors(error=NOTHING_SHARED, interior=NOTHING_SHARED, time=NOTHING_SHARED)
 
 MOST_EXPONENT = 700.0
 """Of the natural exponential function that float64 holds."""
@@ -88,6 +101,12 @@ class FitCase:
     def expected(self, model: ErrorModel) -> ExpectedErrors:
         return expected_errors(self.descriptor, self.light, self.steps, model)
 
+    def expected_ms(self, device: DeviceProfile) -> float:
+        """Milliseconds that a device is expected to take."""
+        return sum(
+            predicted_ms(device, self.descriptor, self.light, step.kinds, step.algorithm, step.settings) for step in self.steps
+        )
+
 
 def asked_of(descriptor: Descriptor, shadows: Shadows | None = None) -> StandaloneRequest:
     """Wishes for a descriptor that comes without a level."""
@@ -108,8 +127,8 @@ def cases_of(view: Figures) -> list[FitCase]:
     return list(found.values())
 
 
-def fit_model(cases: Sequence[FitCase]) -> ErrorModel:
-    """The constants that fit measured rows."""
+def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> ErrorModel:
+    """The constants that fit measured rows; those of times, too, with the calibration of the device that measured them."""
     mapped = [case for case in cases if case.algorithms & set(MAP_ALGORITHMS) and not case.error_groups & {"planar", DECIMATED}]
     terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + LEAST)
 
@@ -134,7 +153,56 @@ def fit_model(cases: Sequence[FitCase]) -> ErrorModel:
         shares = [(interior + LEAST_INTERIOR) / (wrong + LEAST_INTERIOR) for interior, wrong in interior_rows]
         inside[name] = float(np.exp(np.mean(np.log(shares)))) if shares else 0.0
         inside_spread[name] = _scale(np.array(shares) / inside[name] if shares else [])
-    return model.model_copy(update={"interior": inside, "spread": spread, "interior_spread": inside_spread})
+    model = model.model_copy(update={"interior": inside, "spread": spread, "interior_spread": inside_spread})
+    errors = _Deviations.of(cases, lambda case, its: (log_error(case.error) - log_error(its.wrong_cast)) / its.spread, model)
+    interiors = _Deviations.of(
+        cases, lambda case, its: (log_interior(case.row["interior"]) - log_interior(its.interior)) / its.interior_spread, model
+    )
+    shared = model.shared.model_copy(update={"error": errors.shared, "interior": interiors.shared})
+    if device is not None:
+        times = _Deviations.of(cases, lambda case, its: log(case.row["ms"] / case.expected_ms(device)), model)
+        shared = shared.model_copy(update={"time": times.shared})
+        model = model.model_copy(update={"time_spread": max(_scale(np.exp(times.off)), LEAST_SPREAD)})
+    return model.model_copy(update={"shared": shared})
+
+
+@dataclass(frozen=True, eq=False)
+class _Deviations:
+    """By how much rows are off what is expected (n,), and the view and the family of each (numbers)."""
+
+    off: np.ndarray
+    view: np.ndarray
+    family: np.ndarray
+
+    @classmethod
+    def of(cls, cases: Sequence[FitCase], off: Callable[[FitCase, ExpectedErrors], float], model: ErrorModel) -> _Deviations:
+        views: dict[str, int] = {}
+        families: dict[object, int] = {}
+        rows = [
+            (
+                off(case, case.expected(model)),
+                views.setdefault(case.view["name"], len(views)),
+                families.setdefault(tuple((step.algorithm, step.kinds) for step in case.steps), len(families)),
+            )
+            for case in cases
+        ]
+        values, view, family = zip(*rows, strict=True)
+        return cls(np.array(values), np.array(view), np.array(family))
+
+    @property
+    def shared(self) -> SharedVariance:
+        """Shares of the variance: mean products of two rows of a view, of other families and of one, each view counting once."""
+        variance, other, same = [], [], []
+        for number in np.unique(self.view):
+            off, family = self.off[self.view == number], self.family[self.view == number]
+            products, alike = np.outer(off, off), family[:, None] == family
+            apart = ~np.eye(len(off), dtype=bool)
+            variance.append(np.mean(off**2))
+            other += [np.mean(products[~alike])] if (~alike).any() else []
+            same += [np.mean(products[alike & apart])] if (alike & apart).any() else []
+        view = float(np.clip(np.mean(other) / np.mean(variance), 0.0, 1.0)) if other else 0.0
+        both = float(np.clip(np.mean(same) / np.mean(variance), view, 1.0)) if same else view
+        return SharedVariance(view=view, family=both - view)
 
 
 class _Terms:
@@ -183,7 +251,16 @@ def _model(x: np.ndarray) -> ErrorModel:
     counted = {kind: HillCurve(most=a, half_px=b, steepness=c) for kind, (a, b, c) in zip(KINDS, values, strict=True)}
     floor = {name: x[-2 + MAP_ALGORITHMS.index(name)] if name in MAP_ALGORITHMS else 0.0 for name in error_groups()}
     zeros = dict.fromkeys(error_groups(), 0.0)
-    return ErrorModel(counted=counted, perspective=x[-3], floor=floor, interior=zeros, spread=zeros, interior_spread=zeros)  # type: ignore[arg-type]
+    return ErrorModel(
+        counted=counted,
+        perspective=x[-3],
+        floor=floor,
+        interior=zeros,
+        spread=zeros,
+        interior_spread=zeros,
+        time_spread=USUAL_TIME_SPREAD,
+        shared=APART,
+    )  # type: ignore[arg-type]
 
 
 def _scale(ratios: Sequence[float]) -> float:

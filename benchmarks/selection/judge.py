@@ -2,7 +2,11 @@
 
 An instance is a view under a light with a target; the loss of a row (one plan, measured) is its milliseconds where it meets the
 target, ten times those of the worst that meets it where it does not, and where none meets it the overshoot. All losses are taken
-as multiples of the virtual best's, so that a view that takes seconds counts no more than one that takes milliseconds.
+as multiples of the virtual best's, so that a view that takes seconds counts no more than one that takes milliseconds. In strict
+scores a miss costs ten times the view's slowest row instead, whatever meets the target (PAR10 with a fixed cutoff).
+
+A target below ``NOISE_FLOORS`` times the error of truth's own sub-samples cannot be told from a somewhat larger one. Such instances
+are a class of their own (``tellable``), which counts neither in what is met nor in regret.
 """
 
 from __future__ import annotations
@@ -17,6 +21,9 @@ from shadows.truth.metrics import MOST_INTERIOR
 
 PAR_FACTOR = 10.0
 """What a missed target costs, in times the worst that meets it."""
+
+NOISE_FLOORS = 3.0
+"""Errors are told apart from so many times truth's own noise on."""
 
 WITHIN = 0.10
 """Where the single best lies this near to the virtual best, there is no gap to speak of."""
@@ -58,17 +65,28 @@ class GoalInstance:
     def error(self, name: str) -> float:
         return self.rows[name][self.view["error"]]
 
+    @property
+    def tellable(self) -> bool:
+        """Whether truth's own noise leaves to tell what keeps to the error."""
+        return self.goal.max_error >= NOISE_FLOORS * self.view["noise_floor"]
+
+    @property
+    def can_be_met(self) -> bool:
+        """Whether any row meets the target."""
+        return any(map(self.meets, self.rows))
+
     def meets(self, name: str) -> bool:
         """Whether a row keeps to the error (or what truth's own noise leaves to tell) and to the time."""
-        most = max(self.goal.max_error, 3.0 * self.view["noise_floor"])
+        most = max(self.goal.max_error, NOISE_FLOORS * self.view["noise_floor"])
         row = self.rows[name]
         return self.error(name) <= most and row["interior"] <= MOST_INTERIOR and (self.max_ms is None or row["ms"] <= self.max_ms)
 
-    def losses(self) -> dict[str, float]:
-        """The loss of every row, as a multiple of the least."""
+    def losses(self, strict: bool = False) -> dict[str, float]:
+        """The loss of every row, as a multiple of the least; ``strict``: with a fixed cutoff."""
         met = {name: row["ms"] for name, row in self.rows.items() if self.meets(name)}
         if met:
-            found = {name: met.get(name, PAR_FACTOR * max(met.values())) for name in self.rows}
+            cutoff = max(row["ms"] for row in self.rows.values()) if strict else max(met.values())
+            found = {name: met.get(name, PAR_FACTOR * cutoff) for name in self.rows}
         else:
             over = {name: self._overshoot(name) for name in self.rows}
             timely = {name: over[name] for name, row in self.rows.items() if self.max_ms is None or row["ms"] <= self.max_ms}
@@ -109,14 +127,16 @@ class PolicyScore:
     instances: int
     met: float
     """Share of the instances whose target can be met in which the policy's row meets it."""
+    met_interval: tuple[float, float]
+    """Within which it lies in 95 of 100 draws of as many terrains."""
     regret: float
+    regret_interval: tuple[float, float]
+    regret_median: float
     regret_p95: float
     regret_met: float
-    regret_met_p95: float
-    """The same of the choices that met their target."""
+    """The mean of the choices that met their target."""
     unclean: float
     """Share in which its row has interior error above ``MOST_INTERIOR`` though a clean row met the target."""
-    loss: float
     single: float
     """Mean loss of the single best."""
     single_met: float
@@ -130,28 +150,49 @@ def judged(
     instances: Sequence[GoalInstance],
     taken: Mapping[tuple[str, str], str],
     single: Mapping[tuple[str, str], str],
-    own_ms: Callable[[Figures], float] = lambda view: 0.0,
+    own_ms: Callable[[GoalInstance], float] = lambda one: 0.0,
+    strict: bool = False,
 ) -> PolicyScore:
-    """The verdict on the rows ``taken`` by (view, goal), against those of the single best; ``own_ms`` is what a choice itself takes
-    in a view.
+    """The verdict on the rows ``taken`` by (view, goal), against those of the single best; ``own_ms`` is what a choice itself
+    takes, ``strict`` as in ``GoalInstance.losses``.
     """
-    losses = [one.losses() for one in instances]
+    losses = [one.losses(strict) for one in instances]
     keys = [(one.view["name"], one.goal.name) for one in instances]
-    spent = [one.share_of_best(own_ms(one.view)) for one in instances]
+    spent = [one.share_of_best(own_ms(one)) for one in instances]
     own = np.array([loss[taken[key]] for loss, key in zip(losses, keys, strict=True)]) + spent
     best = np.array([loss[single[key]] for loss, key in zip(losses, keys, strict=True)])
-    can = np.array([any(map(one.meets, one.rows)) for one in instances])
+    can = np.array([one.can_be_met for one in instances])
     met = np.array([one.meets(taken[key]) for one, key in zip(instances, keys, strict=True)])
     single_met = np.array([one.meets(single[key]) for one, key in zip(instances, keys, strict=True)])
     dirty = [able and one.rows[taken[key]]["interior"] > MOST_INTERIOR for one, key, able in zip(instances, keys, can, strict=True)]
     regret, gap = own - 1.0, float(best.mean() - 1.0)
     worst = sorted(zip(regret, keys, strict=True), reverse=True)[:WORST]
+    terrain = np.array([one.view["terrain"] for one in instances])
     return PolicyScore(
-        len(instances), _mean(met[can]), _mean(regret), float(np.quantile(regret, 0.95)), _mean(regret[met]),
-        float(np.quantile(regret[met], 0.95)) if met.any() else 0.0, float(np.mean(dirty)), _mean(own), _mean(best),
+        len(instances), _mean(met[can]), _interval(met[can], terrain[can]), _mean(regret), _interval(regret, terrain),
+        float(np.median(regret)), float(np.quantile(regret, 0.95)), _mean(regret[met]), float(np.mean(dirty)), _mean(best),
         _mean(single_met[can]), None if gap <= WITHIN else float((best.mean() - own.mean()) / gap),
         [(view, goal, taken[view, goal], float(one_regret)) for one_regret, (view, goal) in worst],
     )  # fmt: skip
+
+
+DRAWS = 2000
+"""Draws of terrains that intervals are taken from."""
+
+
+def _interval(values: np.ndarray, terrain: np.ndarray) -> tuple[float, float]:
+    """Within which a mean lies in 95 of 100 draws, with repetition, of as many terrains: views of one are no independent trials (B.
+    Efron, Bootstrap methods: another look at the jackknife, 1979).
+    """
+    names = np.unique(terrain)
+    if not len(names):
+        return 0.0, 0.0
+    sums = np.array([values[terrain == name].sum() for name in names], np.float64)
+    counts = np.array([(terrain == name).sum() for name in names], np.float64)
+    drawn = np.random.default_rng(0).integers(0, len(names), (DRAWS, len(names)))
+    means = sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return float(low), float(high)
 
 
 def _mean(values: np.ndarray) -> float:

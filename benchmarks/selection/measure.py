@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.selection.judge import GOALS, instances_of
+from benchmarks.selection.judge import GOALS
+from benchmarks.selection.probes import recorded
 from benchmarks.selection.views import ViewInstance
 from selector.candidates import name_of
 from selector.cost.device_profile import load_profile
 from selector.measure.compare import NO_CAST, compare, drawn_on, run_light
-from selector.measure.measuring import TargetBounds, confirm_winners, measured_rows, winners
 from selector.planner.planner import make_plan, planner_of
 from selector.portfolio import portfolio
 from selector.select import select
@@ -72,7 +72,8 @@ def measured(instance: ViewInstance, data: Path) -> Figures:
         found = _compared(scene, view, instance.view, light, plans)
         error, names = "wrong" if NO_CAST in found.remarks else found.error, rows_of(plans, light)
         record = {
-            "name": instance.name, "family": instance.family, "terrain": instance.terrain, "light": light,
+            "name": instance.name, "family": instance.family, "terrain": instance.terrain, "unseen": instance.unseen,
+            "light": light,
             "renderer": device().renderer, "error": error, "boundary": _rounded(found.boundary),
             "noise_floor": _rounded(found.noise_floor), "remarks": found.remarks,
             "rows": {row: _row(compared_row.figures, light) for row, compared_row in zip(names.values(), found.rows, strict=True)},
@@ -89,21 +90,6 @@ def timed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
         light = record["light"]
         plans = plans_of(describe(scene, view, instance.view), scene, light)
         return record | {"rows": _timed(scene, view, light, plans, record["rows"])}
-
-
-def chosen(instance: ViewInstance, data: Path, record: Figures) -> Figures:
-    """The record with what the policy ``measure`` takes for each goal, by row; what was drawn for one of them serves the others."""
-    with tempfile.TemporaryDirectory() as folder:
-        scene, view = instance.opened(data, Path(folder))
-        light, choices = record["light"], {}
-        rows = measured_rows(scene, view, instance.view)
-        for one in instances_of([record]):
-            bounds = TargetBounds(one.goal.max_error, one.max_ms)
-            rows = confirm_winners(rows, bounds)
-            winner = winners(rows, bounds)[light].winner
-            plan = next(trial.candidate.plan for trial in rows[light].trials if trial.figures == winner)
-            choices[one.goal.name] = name_of(plan, light)
-    return record | {"measured": choices}
 
 
 def _timed(
@@ -138,6 +124,27 @@ def redescribed(instance: ViewInstance, data: Path, record: Figures) -> Figures:
             select(descriptor, scene.loaded.level, None, "predict", profile)
             times_ms.append(1000.0 * (time.perf_counter() - start))
         return record | {"descriptor": descriptor.model_dump(mode="json"), "plan_ms": _rounded(float(np.median(times_ms[1:])))}
+
+
+def probes(instance: ViewInstance, data: Path, record: Figures) -> Figures:
+    """The record with what probes can see of it."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene, view = instance.opened(data, Path(folder))
+        profile = load_profile(device().renderer, device().version)
+        assert profile is not None
+        made = recorded(scene, view, instance.view, record["light"], profile)
+        return record | {"probe": _all_rounded(made)}
+
+
+def _all_rounded(value: Any) -> Any:
+    match value:
+        case float():
+            return _rounded(value)
+        case dict():
+            return {key: _all_rounded(each) for key, each in value.items()}
+        case list():
+            return [_all_rounded(each) for each in value]
+    return value
 
 
 def _compared(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, plans: dict[Any, Plan]) -> Any:

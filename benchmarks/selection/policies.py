@@ -9,14 +9,19 @@ from typing import Any
 import numpy as np
 
 from benchmarks.selection.fit import FitCase, asked_of, cases_of, fit_model
-from benchmarks.selection.judge import GoalInstance, PolicyScore, instances_of, judged, single_best, stand_in
+from benchmarks.selection.judge import GOALS, GoalInstance, instances_of, single_best, stand_in
+from benchmarks.selection.probes import RecordedProver, recorded_options
 from selector.candidates import name_of
-from selector.cost.cost_model import predicted_ms
+from selector.choices import StandaloneRequest
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.error_model import ErrorModel
-from selector.predict import predicted_plan
+from selector.measure.probing import LightProbe, leader_of, probed
+from selector.planner.planner import planner_of
+from selector.predict import plan_options, predicted_plan
 from terrain.facts.descriptor import Descriptor
 from terrain.level.level import Shadows
+
+POLICIES = ("rules", "predict", "probe", "measure")
 
 Figures = dict[str, Any]
 Taken = dict[tuple[str, str], str]
@@ -25,15 +30,24 @@ FOLDS = 3
 """Parts into which the views of each terrain are dealt: each is judged by models that were fitted to the others."""
 
 
+BUDGET_S = 3.0
+"""The time of a probe, seconds."""
+
+
 @dataclass(frozen=True, eq=False)
 class Split:
     """What each policy takes of all instances, where the models of each instance were fitted to a part that has not got it."""
 
     name: str
+    instances: Sequence[GoalInstance]
     taken: Mapping[str, Taken]
     single: Taken
     best: Mapping[str, int]
-    """The single best choices, and in how many parts each was it."""
+    """The single best choices by goal, and in how many parts each was it."""
+    probe_s: Mapping[tuple[str, str], float]
+    """How long the probe of an instance takes."""
+    drawn: Mapping[tuple[str, str], int]
+    """How many options it draws."""
 
 
 def held_out_views(views: Sequence[Figures]) -> list[list[Figures]]:
@@ -51,61 +65,93 @@ def terrains(views: Sequence[Figures]) -> list[list[Figures]]:
     return [[view for view in views if view["terrain"] == name] for name in dict.fromkeys(view["terrain"] for view in views)]
 
 
-def split(name: str, parts: Sequence[Sequence[Figures]], device: DeviceProfile) -> Split:
-    """All parts judged by models and a single best that the others gave. ``measure`` goes without the limits of time: it chose in
-    another hour than that in which the rows were timed (``lateness``).
-    """
-    cases = {view["name"]: cases_of(view) for part in parts for view in part}
-    choices_by_policy: dict[str, Taken] = {"rules": {}, "predict": {}, "measure": {}}
+def split(name: str, parts: Sequence[tuple[Sequence[Figures], Sequence[Figures]]], device: DeviceProfile) -> Split:
+    """All parts (views to judge, views to fit to) judged by models and a single best for each goal that the others gave."""
+    cases: dict[str, list[FitCase]] = {}
+    taken: dict[str, Taken] = {policy: {} for policy in POLICIES}
     single: Taken = {}
     bests: dict[str, int] = {}
-    for number, part in enumerate(parts):
-        others = [view for other, views in enumerate(parts) if other != number for view in views]
-        model = fit_model([case for view in others for case in cases[view["name"]]])
-        best = single_best(instances_of(others))
-        bests[best] = bests.get(best, 0) + 1
-        for one in instances_of(part):
-            key = (one.view["name"], one.goal.name)
-            single[key] = stand_in(best, one.view) or max(one.rows, key=one.losses().__getitem__)
-            choices_by_policy["rules"][key] = one.view["picks"][f"rules {one.goal.max_error:g}"]
-            choices_by_policy["predict"][key] = predicted(one, device, model)
-            if one.max_ms is None and one.goal.name in one.view.get("measured", {}):
-                choices_by_policy["measure"][key] = one.view["measured"][one.goal.name]
-    return Split(name, {policy: choices for policy, choices in choices_by_policy.items() if choices}, single, bests)
+    instances: list[GoalInstance] = []
+    probe_s: dict[tuple[str, str], float] = {}
+    drawn: dict[tuple[str, str], int] = {}
+    for part, others in parts:
+        for view in others:
+            cases.setdefault(view["name"], cases_of(view))
+        model = fit_model([case for view in others for case in cases[view["name"]]], device)
+        best = {goal.name: single_best(instances_of(others, [goal])) for goal in GOALS}
+        for goal, choice in best.items():
+            bests[f"{goal}: {choice}"] = bests.get(f"{goal}: {choice}", 0) + 1
+        for view in part:
+            for one in instances_of([view]):
+                key = (view["name"], one.goal.name)
+                instances.append(one)
+                single[key] = stand_in(best[one.goal.name], view) or max(one.rows, key=one.losses().__getitem__)
+                taken["rules"][key] = view["picks"][_rules_pick(one)]
+                taken["predict"][key] = predicted(one, device, model)
+                found, names = replayed(one, device, model, BUDGET_S)
+                taken["probe"][key] = taken["predict"][key] if found is None else names[_leader(found, one)]
+                probe_s[key], drawn[key] = (0.0, 0) if found is None else (found.seconds, len(found.drawn))
+                found, names = replayed(one, device, model, None)
+                taken["measure"][key] = taken["predict"][key] if found is None else names[_leader(found, one)]
+    return Split(name, instances, taken, single, bests, probe_s, drawn)
 
 
-def lateness(views: Sequence[Figures]) -> np.ndarray:
-    """What ``measure`` took within a limit of time, by the times of the rows: as multiples of the limit."""
-    limited = [one for one in instances_of(views) if one.max_ms is not None and one.goal.name in one.view.get("measured", {})]
-    return np.array([one.rows[one.view["measured"][one.goal.name]]["ms"] / (one.max_ms or np.inf) for one in limited])
+def _rules_pick(one: GoalInstance) -> str:
+    """The name of the plan that the rules make for a goal."""
+    within = f"rules {one.goal.max_error:g} within"
+    return within if one.max_ms is not None and within in one.view["picks"] else f"rules {one.goal.max_error:g}"
+
+
+def _leader(probe: LightProbe, one: GoalInstance) -> int:
+    return leader_of(probe.options, one.goal.max_error, one.max_ms)
+
+
+def _described(one: GoalInstance) -> tuple[Descriptor, StandaloneRequest]:
+    """What a policy is told: the descriptor without the view's name, and the target."""
+    descriptor = Descriptor.model_validate({**one.view["descriptor"], "view": "view"})
+    return descriptor, asked_of(descriptor, Shadows(max_error=one.goal.max_error, max_ms=one.max_ms))
 
 
 def predicted(one: GoalInstance, device: DeviceProfile, model: ErrorModel | None = None) -> str:
-    """The row that ``predict`` takes, told nothing but the descriptor (without the view's name) and the target."""
-    descriptor = Descriptor.model_validate({**one.view["descriptor"], "view": "view"})
-    shadows = Shadows(max_error=one.goal.max_error, max_ms=one.max_ms)
-    return name_of(predicted_plan(descriptor, asked_of(descriptor, shadows), None, device, model), one.view["light"])
+    """The row that ``predict`` takes."""
+    descriptor, asked = _described(one)
+    return name_of(predicted_plan(descriptor, asked, None, device, model), one.view["light"])
+
+
+def replayed(
+    one: GoalInstance, device: DeviceProfile, model: ErrorModel | None, budget_s: float | None
+) -> tuple[LightProbe | None, list[str]]:
+    """What a probe of an instance comes to, by what was recorded of its view, and the names of its options' rows; ``None`` where
+    nothing was recorded.
+    """
+    record, light = one.view.get("probe") or {}, one.view["light"]
+    options = plan_options(planner_of(*_described(one)), device, model)
+    if light not in options.lights or not record:
+        return None, []
+    its = options.lights[light]
+    names = [name_of(options.planner.plan({light: each.choice}, {}), light) for each in its.options]
+    known = recorded_options(its, [name if name in one.rows else "" for name in names], record)
+    if not known.numbers:
+        return None, names
+    prover = RecordedProver(record, names)
+    return probed(known, prover, one.goal.max_error, one.max_ms, budget_s), names
 
 
 def splits(views: Sequence[Figures], device: DeviceProfile) -> list[Split]:
-    """Views held out of known terrains, and all of a terrain left out."""
-    parts = {"held-out views": held_out_views(views), "leave one terrain out": terrains(views)}
-    return [split(name, split_parts, device) for name, split_parts in parts.items()]
+    """Views held out of known terrains, all of a terrain left out, and terrains that nothing was ever fitted to."""
+    known, unseen = ([view for view in views if bool(view.get("unseen")) is which] for which in (False, True))
 
+    def without(parts: Sequence[Sequence[Figures]]) -> list[tuple[Sequence[Figures], Sequence[Figures]]]:
+        return [
+            (part, [view for other, its in enumerate(parts) if other != number for view in its])
+            for number, part in enumerate(parts)
+        ]
 
-def policy_score(views: Sequence[Figures], made: Split, policy: str, with_plans: bool = False) -> PolicyScore:
-    """What a policy's choices are worth; ``with_plans`` counts what it takes to plan a frame of a perspective view, too.
-
-    Tiles share a plan, and one that was measured is made beforehand.
-    """
-
-    def own_ms(view: Figures) -> float:
-        return view["plan_ms"] if with_plans and view["descriptor"]["view_kind"] == "perspective" else 0.0
-
-    choices = made.taken[policy]
-    return judged(
-        [one for one in instances_of(views) if (one.view["name"], one.goal.name) in choices], choices, made.single, own_ms
-    )
+    made = [split("held-out views", without(held_out_views(known)), device)]
+    made.append(split("leave one terrain out", without(terrains(known)), device))
+    if unseen:
+        made.append(split("unseen terrains", [(unseen, known)], device))
+    return made
 
 
 def errors_of_time(
@@ -114,8 +160,5 @@ def errors_of_time(
     """By how much the expected times of rows are off, as shares of those measured."""
     off = []
     for case in filter(which, cases):
-        ms = sum(
-            predicted_ms(device, case.descriptor, case.light, step.kinds, step.algorithm, step.settings) for step in case.steps
-        )
-        off.append(ms / case.row["ms"] - 1.0)
+        off.append(case.expected_ms(device) / case.row["ms"] - 1.0)
     return np.array(off)

@@ -15,9 +15,11 @@ from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
-Family = Literal["thesis, spot", "thesis, sun", "relief, map", "relief, perspective", "wooded, map", "wooded, perspective"]
+Family = Literal[
+    "thesis, spot", "thesis, sun", "relief, map", "relief, perspective", "wooded, map", "wooded, perspective", "dense wood"
+]  # fmt: skip
 
-PERSPECTIVE_PX, MAP_PX = (640, 512), (512, 512)
+PERSPECTIVE_PX, MAP_PX, DENSE_PX = (640, 512), (512, 512), (320, 256)
 
 SunAngles = tuple[float, float]
 
@@ -27,6 +29,9 @@ VILLAGE = (754_330.0, 4_012_390.0, 755_530.0, 4_013_590.0)
 """The same of houses, hedges and woods in its valley."""
 
 CITY = "urban/goteborg_1m"
+
+DENSE_WOOD = (-84.200, 36.21633, -84.148, 36.25433)
+"""West, south, east and north, degrees: a part of the same that is taken to be wooded all over."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +49,13 @@ class ViewInstance:
     view: str
     sun: SunAngles | None = None
     bounds: tuple[float, float, float, float] | None = None
+    unseen: bool = False
+    """Whether its terrain is kept from the models: nothing is ever fitted to it."""
     look: tuple[float, float, float, float, float] | None = None
     """Of a perspective view that no level names: the eye's and the target's shares of the ground's extent from west and south
     (eye_x, eye_y, target_x, target_y), and the eye's height above ground, metres."""
+    size: tuple[int, int] | None = None
+    """Columns and rows, if they are not the usual ones."""
 
     def opened(self, data: Path, folder: Path) -> tuple[Scene, MapView | PerspectiveView]:
         """The scene and its view. ``folder`` takes the level file that is written for a scene of sample data."""
@@ -55,7 +64,7 @@ class ViewInstance:
         if self.look is not None:
             scene = _scene({**self.level, "views": {"eye": _eye(scene, self.look)}}, data, folder)  # type: ignore[dict-item]
             scene = scene.with_sun(None if self.sun is None else SunSpec(azimuth=self.sun[0], altitude=self.sun[1]))
-            return scene, scene.view("eye", size=PERSPECTIVE_PX)
+            return scene, scene.view("eye", size=self.size or PERSPECTIVE_PX)
         if self.view == "map":
             return scene, scene.view("map", self.bounds or _middle(scene), size=MAP_PX)
         return scene, scene.view(self.view, size=PERSPECTIVE_PX)
@@ -66,8 +75,15 @@ def _scene(level: str | dict[str, Any], data: Path, folder: Path) -> Scene:
         return build_scene(load_level(find_level(level)))
     path = folder / "level.yaml"
     text = json.dumps({"version": 1, **level}).replace("DATA/", f"{data.resolve()}/")
+    (folder / "wood.geojson").write_text(json.dumps(_rectangle(DENSE_WOOD)), encoding="utf-8")
     path.write_text(text, encoding="utf-8")  # JSON is YAML
     return build_scene(load_level(path))
+
+
+def _rectangle(bounds: tuple[float, float, float, float]) -> dict[str, Any]:
+    west, south, east, north = bounds
+    corners = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+    return {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [corners]}}
 
 
 def _middle(scene: Scene) -> tuple[float, float, float, float] | None:
@@ -115,6 +131,18 @@ RASTERS: dict[str, dict[str, Any]] = {
         meshes=[{"source": f"DATA/{CITY}/buildings.shp", "surface": f"DATA/{CITY}/DSM.tif", "ground": f"DATA/{CITY}/DEM.tif"}],
     ),
     "quebec": _raster("forest/quebec_DTM.tif", forest=[{"source": "DATA/forest/quebec_CHM.tif"}]),
+    "jacksboro, dense": {
+        "terrain": {"source": "jacksboro", "bounds": list(DENSE_WOOD)},
+        "forest": [{"source": "wood.geojson", "density": 220, "height": [14, 24], "crown": [6, 9], "seed": 1}],
+    },
+    "sanfrancisco": _raster("urban/sanfrancisco_elev_3857.tif"),
+    "lisbon": _raster("urban/lisbon_1arcsec_4326.tif"),
+    "rmnp": _raster("mountain/rmnp-dem.tif"),
+    "autzen": _raster("odd/autzen_feet_DSM.tif"),
+    "nz": _raster("odd/nz_elev_1km_oceanholes.tif"),
+    "texas": _raster("odd/texas_flat_3arcsec_4326.tif"),
+    "bilbao": _raster("urban/bilbao/DEM.tif"),
+    "bilbao, trees": _raster("urban/bilbao/DEM.tif", forest=[{"source": "DATA/urban/bilbao/CDSM.tif"}]),
 }
 
 
@@ -180,6 +208,50 @@ def _wooded() -> Iterator[ViewInstance]:
         yield ViewInstance(f"{name}, eye, {sun[1]:g}", "wooded, perspective", terrain, RASTERS[name], "eye", sun, look=look)
 
 
+def _dense() -> Iterator[ViewInstance]:
+    """Views across woods in which most pixels show leaves of several trees: whether they are lit is not decidable, so targets go by
+    ``coverage``.
+    """
+    looks: tuple[tuple[tuple[float, float, float, float, float], SunAngles], ...] = (
+        ((0.02, 0.02, 0.60, 0.60, 450.0), (248.0, 14.0)), ((0.98, 0.98, 0.30, 0.30, 450.0), (23.0, 24.0)),
+        ((0.98, 0.90, 0.20, 0.40, 400.0), (80.0, 22.0)), ((0.02, 0.98, 0.60, 0.40, 350.0), (287.0, 20.0)),
+        ((0.60, 0.98, 0.40, 0.05, 450.0), (33.0, 14.0)), ((0.02, 0.50, 0.90, 0.50, 450.0), (245.0, 24.0)),
+        ((0.02, 0.60, 0.95, 0.60, 400.0), (290.0, 21.0)), ((0.50, 0.98, 0.45, 0.10, 400.0), (339.0, 20.0)),
+        ((0.02, 0.30, 0.80, 0.80, 500.0), (260.0, 14.0)), ((0.40, 0.98, 0.50, 0.05, 350.0), (328.0, 24.0)),
+    )  # fmt: skip
+    for number, (look, sun) in enumerate(looks, start=1):
+        name = f"jacksboro, dense wood {number}, {sun[1]:g}"
+        wood = RASTERS["jacksboro, dense"]
+        yield ViewInstance(name, "dense wood", "jacksboro", wood, "eye", sun, look=look, size=DENSE_PX)
+
+
+def _unseen() -> Iterator[ViewInstance]:
+    """Terrains that no model is fitted to."""
+    maps: tuple[tuple[str, tuple[SunAngles, ...]], ...] = (
+        ("sanfrancisco", ((118.0, 19.0), (244.0, 7.0))), ("lisbon", ((251.0, 11.0), (171.0, 43.0))), ("rmnp", ((108.0, 14.0),)),
+        ("autzen", ((204.0, 31.0), (97.0, 13.0))), ("nz", ((302.0, 5.0),)), ("texas", ((88.0, 1.5),)),
+        ("bilbao, trees", ((228.0, 27.0), (133.0, 12.0))),
+    )  # fmt: skip
+    for name, suns in maps:
+        for sun in suns:
+            family: Family = "wooded, map" if "trees" in name else "relief, map"
+            terrain = name.split(",")[0]
+            yield ViewInstance(f"{name}, map, {sun[1]:g}", family, terrain, RASTERS[name], "map", sun, unseen=True)
+    looks: tuple[tuple[str, tuple[float, float, float, float, float], SunAngles], ...] = (
+        ("sanfrancisco", (0.45, 0.25, 0.55, 0.50, 120.0), (239.0, 6.0)),
+        ("lisbon", (0.40, 0.45, 0.48, 0.62, 300.0), (142.0, 7.0)),
+        ("rmnp", (0.45, 0.35, 0.52, 0.60, 700.0), (284.0, 13.0)), ("autzen", (0.35, 0.15, 0.45, 0.40, 30.0), (216.0, 21.0)),
+        ("autzen", (0.60, 0.20, 0.55, 0.40, 60.0), (124.0, 41.0)), ("nz", (0.28, 0.25, 0.24, 0.17, 9000.0), (48.0, 12.0)),
+        ("bilbao", (0.40, 0.30, 0.50, 0.55, 150.0), (247.0, 5.0)),
+        ("bilbao, trees", (0.40, 0.30, 0.48, 0.48, 60.0), (231.0, 22.0)),
+        ("bilbao, trees", (0.55, 0.50, 0.60, 0.66, 120.0), (111.0, 35.0)),
+    )  # fmt: skip
+    for name, look, sun in looks:
+        family = "wooded, perspective" if "trees" in name else "relief, perspective"
+        terrain = name.split(",")[0]
+        yield ViewInstance(f"{name}, eye, {sun[1]:g}", family, terrain, RASTERS[name], "eye", sun, unseen=True, look=look)
+
+
 def instances() -> list[ViewInstance]:
     """All of them, in order."""
-    return [*_thesis(), *_relief(), *_wooded()]
+    return [*_thesis(), *_relief(), *_wooded(), *_dense(), *_unseen()]

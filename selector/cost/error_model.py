@@ -23,10 +23,11 @@ from bisect import bisect
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
-from math import exp, log, log2
+from math import log, log2
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from selector.belief import SharedVariance, logistic_chance_over
 from selector.cost.unmeasured import NO_ERRORS, UnmeasuredError
 from shadows.algorithm import ErrorConstants
 from shadows.plan import Step
@@ -78,13 +79,29 @@ class ExpectedErrors:
         """How likely it is that a picture has more than ``max_error`` of its cast shadow wrong, or more than ``MOST_INTERIOR``
         inside of shadows and lights, in [0, 1].
         """
-        error = _chance_over((self.wrong_cast + LEAST) / (max_error + LEAST), self.spread)
-        inside = _chance_over((self.interior + LEAST_INTERIOR) / (MOST_INTERIOR + LEAST_INTERIOR), self.interior_spread)
+        error = logistic_chance_over(log_error(self.wrong_cast) - log_error(max_error), self.spread)
+        inside = logistic_chance_over(log_interior(self.interior) - log_interior(MOST_INTERIOR), self.interior_spread)
         return max(error, inside)  # what is wrong inside is wrong besides
 
 
-def _chance_over(ratio: float, scale: float) -> float:
-    return 1.0 / (1.0 + exp(-max(min(log(ratio) / scale, 50.0), -50.0)))
+def log_error(error: float) -> float:
+    """The logarithm by which errors are compared."""
+    return log(error + LEAST)
+
+
+def log_interior(interior: float) -> float:
+    """That by which interior errors are."""
+    return log(interior + LEAST_INTERIOR)
+
+
+class SharedErrors(BaseModel):
+    """How much of what real figures are off the expected ones is common to the candidates of a view."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    error: SharedVariance
+    interior: SharedVariance
+    time: SharedVariance
 
 
 class HillCurve(BaseModel):
@@ -105,7 +122,8 @@ class ErrorModel(BaseModel):
 
     ``counted`` is by kind of casters, ``perspective`` the texels of a perspective map to a pixel's side, ``floor`` what each
     algorithm gets wrong of the cast shadow however fine it is, ``interior`` which share of what is wrong lies inside, ``spread``
-    and ``interior_spread`` the scales of both about what is expected.
+    and ``interior_spread`` the scales of both about what is expected. ``time_spread`` is that of times about those that a
+    calibration expects, and ``shared`` how much of all three the candidates of a view have in common.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -116,6 +134,8 @@ class ErrorModel(BaseModel):
     interior: dict[str, float]
     spread: dict[str, float]
     interior_spread: dict[str, float]
+    time_spread: float = Field(gt=0)
+    shared: SharedErrors
 
     def constants(self, group: str) -> ErrorConstants | None:
         """Those of an error group; ``None`` where nothing was fitted."""

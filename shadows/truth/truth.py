@@ -104,13 +104,16 @@ def truth_of(
     samples: int = 4,
     light: str = SUN,
     kinds: tuple[CasterKind, ...] = ALL_KINDS,
+    rays: RayScene | None = None,
 ) -> Truth:
-    """The classes of a buffer's points and where they are decidable, with ``samples`` (a square) sub-samples a pixel."""
+    """The classes of a buffer's points and where they are decidable, with ``samples`` (a square) sub-samples a pixel. ``rays`` is
+    what they can meet, where it was made before (``ray_scene``).
+    """
     dark = np.zeros(buffer.there.shape, bool)
     turned = attached(buffer, scene, light) & buffer.there
     if (light == SUN and not scene.sun_is_up) or not buffer.there.any():
         return Truth(dark, turned, buffer.there.copy(), buffer.there)
-    rays = ray_scene(buffer, scene, casters, kinds)
+    rays = rays or ray_scene(buffer, scene, casters, kinds)
     lit = lit_from(buffer, scene, light, rays)
     decidable = buffer.there.copy()
     for offsets in (2.0, 4.0):

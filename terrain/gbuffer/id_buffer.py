@@ -78,7 +78,8 @@ def rasterise_perspective(
         if instances is not None:
             ends = np.array([[first[k] - 0.5 * view.step, first[k] + (size[k] - 0.5) * view.step] for k in (0, 1)])
             in_sight = instances.in_cone(eye, camera_from_frame, ends / view.focal_px)
-            _draw_trees(gl, instances, in_sight, instances.base_frame_m, {**uniforms, "in_map": False}, drawn)
+            more = {"in_map": False, "level_bias": float(np.log2(view.pixel_share))}
+            _draw_trees(gl, instances, in_sight, instances.base_frame_m, {**uniforms, **more}, drawn)
     return _read(gl, target, instances, drawn, None if instances is None else in_sight)
 
 
@@ -110,6 +111,7 @@ def rasterise_map(
             inside = [(bases_px[:, k] > -reach) & (bases_px[:, k] < size + reach) for k, size in enumerate((view.cols, view.rows))]
             chosen = np.flatnonzero(inside[0] & inside[1])
             more = {"in_map": True, "px_from_m": tuple(px_from_m.T.ravel()), "height_m": float(high - low)}
+            more |= {"level_bias": float(np.log2(view.pixel_share))}
             _draw_trees(gl, instances, chosen, (bases_px - shift) * scale, {**uniforms, **more}, drawn)
     return _read(gl, target, instances, drawn, chosen)
 

@@ -18,17 +18,22 @@ _OF_PIXELS = (
 
 
 def subsampled_view(view: MapView | PerspectiveView, every: int) -> MapView | PerspectiveView:
-    """Every n-th pixel of a view along rows and columns, from the first one on."""
-    rows, cols = -(-view.rows // every), -(-view.cols // every)
+    """Every n-th pixel of a view along rows and columns, from the first one on: each as wide as it is in the view."""
+    rows, cols, share = -(-view.rows // every), -(-view.cols // every), view.pixel_share / every
     if isinstance(view, MapView):
-        return replace(view, row_step=view.row_step * every, col_step=view.col_step * every, rows=rows, cols=cols)
-    return replace(view, step=view.step * every, rows=rows, cols=cols)
+        row_step, col_step = view.row_step * every, view.col_step * every
+        return replace(view, row_step=row_step, col_step=col_step, rows=rows, cols=cols, pixel_share=share)
+    return replace(view, step=view.step * every, rows=rows, cols=cols, pixel_share=share)
 
 
-def subsampled_points(buffer: GeometryBuffer, every: int) -> GeometryBuffer:
-    """A buffer's points in every n-th pixel, just as they are, to look from for a light. Colours and columns are left out."""
+def subsampled_points(buffer: GeometryBuffer, every: int, first: tuple[int, int] = (0, 0)) -> GeometryBuffer:
+    """A buffer's points in every n-th pixel from the ``first`` one on, just as they are, to look from for a light. Colours and
+    columns are left out.
+    """
+    row, col = first
+    view = subsampled_view(buffer.view.part(row, col, buffer.view.rows - row, buffer.view.cols - col), every)
     arrays = {name: getattr(buffer, name) for name in _OF_PIXELS}
-    fewer: dict[str, Any] = {
-        name: None if array is None else np.ascontiguousarray(array[::every, ::every]) for name, array in arrays.items()
+    some: dict[str, Any] = {
+        name: None if array is None else np.ascontiguousarray(array[row::every, col::every]) for name, array in arrays.items()
     }
-    return replace(buffer, view=subsampled_view(buffer.view, every), columns=None, albedo=None, **fewer)
+    return replace(buffer, view=view, columns=None, albedo=None, **some)

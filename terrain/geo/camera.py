@@ -33,7 +33,9 @@ class PerspectiveView:
     row0, col0
         Offset of the first pixel's centre from the principal point, in pixels.
     step
-        Distance of neighbouring pixels; 1 but for finer views.
+        Distance of neighbouring pixels; 1 but for finer views, and those of every n-th pixel.
+    pixel_share
+        A pixel's side as a share of that distance; 1 but in views of every n-th pixel.
     """
 
     eye_earth_m: np.ndarray
@@ -44,11 +46,12 @@ class PerspectiveView:
     step: float
     rows: int
     cols: int
+    pixel_share: float = 1.0
 
     @property
     def pixel(self) -> float:
         """A pixel's side as a tangent, at the middle of the picture."""
-        return self.step / self.focal_px
+        return self.pixel_share * self.step / self.focal_px
 
     def part(self, row: int, col: int, rows: int, cols: int) -> PerspectiveView:
         """The view of some of the pixels; the offsets may be negative."""
@@ -56,7 +59,8 @@ class PerspectiveView:
 
     def shifted(self, rows: float, cols: float) -> PerspectiveView:
         """The view whose pixel centres lie a share of pixels further down and to the right."""
-        return replace(self, row0=self.row0 + rows * self.step, col0=self.col0 + cols * self.step)
+        side = self.pixel_share * self.step
+        return replace(self, row0=self.row0 + rows * side, col0=self.col0 + cols * side)
 
     def finer(self, side: int) -> PerspectiveView:
         """The view with ``side`` x ``side`` pixels regularly inside each of this one's."""

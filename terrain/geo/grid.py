@@ -92,7 +92,8 @@ class Grid:
 class MapView:
     """Pixels of a map: their centres in (fractional) node coordinates of a grid.
 
-    The centre of pixel (i, j) lies at row ``row0 + i * row_step`` and column ``col0 + j * col_step``.
+    The centre of pixel (i, j) lies at row ``row0 + i * row_step`` and column ``col0 + j * col_step``. ``pixel_share`` is a pixel's
+    side as a share of the steps: 1 but in views of every n-th pixel.
     """
 
     grid: Grid
@@ -102,6 +103,7 @@ class MapView:
     col_step: float
     rows: int
     cols: int
+    pixel_share: float = 1.0
 
     @property
     def on_nodes(self) -> bool:
@@ -129,14 +131,13 @@ class MapView:
 
     def part(self, row: int, col: int, rows: int, cols: int) -> MapView:
         """The view of some of the pixels; the offsets may be negative."""
-        return MapView(
-            self.grid, self.row0 + row * self.row_step, self.col0 + col * self.col_step, self.row_step, self.col_step,
-            rows, cols,
-        )  # fmt: skip
+        row0, col0 = self.row0 + row * self.row_step, self.col0 + col * self.col_step
+        return replace(self, row0=row0, col0=col0, rows=rows, cols=cols)
 
     def shifted(self, rows: float, cols: float) -> MapView:
         """The view whose pixel centres lie a share of pixels further down and to the right."""
-        return replace(self, row0=self.row0 + rows * self.row_step, col0=self.col0 + cols * self.col_step)
+        down, right = self.pixel_share * self.row_step, self.pixel_share * self.col_step
+        return replace(self, row0=self.row0 + rows * down, col0=self.col0 + cols * right)
 
     def as_nodes(self) -> MapView:
         """The same pixels as nodes of a grid of their own, counted from where this one's are."""
@@ -147,7 +148,7 @@ class MapView:
         x0, y0 = self.grid.x((col - whole_col) * self.col_step), self.grid.y((row - whole_row) * self.row_step)
         stretch = self.grid.stretch * self.row_step / self.col_step
         grid = Grid(self.grid.crs, float(x0), float(y0), self.grid.step * self.col_step, stretch)
-        return MapView(grid, float(whole_row), float(whole_col), 1.0, 1.0, self.rows, self.cols)
+        return MapView(grid, float(whole_row), float(whole_col), 1.0, 1.0, self.rows, self.cols, self.pixel_share)
 
     def finer(self, side: int) -> MapView:
         """The view with ``side`` x ``side`` pixels regularly inside each of this one's, cut from the same grid."""

@@ -245,7 +245,7 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
 
 def map_pixel_m(world: World, view: MapView) -> float:
     """Side of a map's pixels on the ground at the anchor, metres: the root of a pixel's area."""
-    return step_at_anchor_m(world, view.grid) * float(np.sqrt(view.row_step * view.col_step))
+    return step_at_anchor_m(world, view.grid) * view.pixel_share * float(np.sqrt(view.row_step * view.col_step))
 
 
 @compiled

@@ -1,0 +1,109 @@
+"""What a probe would see of a measured view: recorded once of every row, so that any policy can be replayed with any model."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import astuple
+from typing import Any
+
+from selector.candidates import name_of
+from selector.cost.device_profile import DeviceProfile
+from selector.measure.probing import Proof
+from selector.measure.proving import MOST_DOUBLINGS, Pictures, SceneProver
+from selector.options import LightOptions
+from selector.planner.planner import planner_of
+from selector.predict import plan_options
+from terrain.describe import describe
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.scene import Scene
+
+Figures = dict[str, Any]
+
+
+def recorded(scene: Scene, view: MapView | PerspectiveView, name: str, light: str, profile: DeviceProfile) -> Figures:
+    """What probes of a light's options can see. ``start_s``: what everything takes that is done once, whatever is drawn;
+    ``points_s``: what truth on all lattices up to each step takes; by row the milliseconds of a probe's draw, and its proofs with
+    one lattice of points, 2, 4, 8 and 16.
+    """
+    descriptor, level = describe(scene, view, name, "points"), scene.loaded.level
+    options = plan_options(planner_of(descriptor, level), profile)
+    if light not in options.lights:
+        return {}
+    its = options.lights[light]
+    effects = options.planner.plan({light: its.options[0].choice}, {}).runs
+    start = time.perf_counter()
+    pictures = Pictures(scene, view, effects)
+    prover = SceneProver(pictures, options.planner, light, its)
+    assert pictures.drawn
+    start_s = time.perf_counter() - start
+    rows: dict[str, Figures] = {}
+    drawn: list[tuple[int, str]] = []
+    for which, option in enumerate(its.options):
+        start = time.perf_counter()
+        ms = prover.draw(which)
+        if ms is not None:
+            row = name_of(options.planner.plan({light: option.choice}, {}), light)
+            rows[row] = {"ms": ms, "draw_s": time.perf_counter() - start, "proofs": []}
+            drawn.append((which, row))
+    points_s: list[float] = []
+    for step in range(MOST_DOUBLINGS + 1):
+        if step:
+            prover.more_points()
+        start = time.perf_counter()
+        for number, (which, row) in enumerate(drawn):
+            rows[row]["proofs"].append(list(astuple(prover.proof(which))))
+            if number == 0:  # the first one pays for the points
+                points_s.append(time.perf_counter() - start + (points_s[-1] if points_s else 0.0))
+    return {"start_s": start_s, "points_s": points_s, "rows": rows}
+
+
+class RecordedProver:
+    """A ``selector.measure.probing.Prover`` that knows what was recorded of a view; ``rows`` names the row of each option."""
+
+    def __init__(self, record: Figures, rows: Sequence[str]) -> None:
+        self._record, self._rows = record, rows
+        self._elapsed_s = record["start_s"]
+        self._step: int | None = None
+
+    def elapsed_s(self) -> float:
+        """Seconds since it began, as it would have taken."""
+        return self._elapsed_s
+
+    def draw(self, which: int) -> float | None:
+        """An option's milliseconds; ``None`` where it was refused."""
+        row = self._record["rows"].get(self._rows[which])
+        if row is None:
+            return None
+        self._elapsed_s += row["draw_s"]
+        return row["ms"]
+
+    def draw_s(self, ms: float) -> float:
+        """How long it takes to draw what takes so many milliseconds, seconds."""
+        return SceneProver.draw_s(ms)
+
+    def proof(self, which: int) -> Proof:
+        """What truth at the points so far said."""
+        if self._step is None:
+            self._step = 0
+            self._elapsed_s += self._record["points_s"][0]
+        return Proof(*self._record["rows"][self._rows[which]]["proofs"][self._step])
+
+    def more_points_s(self) -> float | None:
+        """How long it would take to ask truth at more points; ``None`` where all of them are known."""
+        points_s, step = self._record["points_s"], self._step or 0
+        return None if step + 1 == len(points_s) else points_s[step + 1] - points_s[step]
+
+    def more_points(self) -> None:
+        """Ask truth at more points."""
+        more_s = self.more_points_s()
+        assert more_s is not None and self._step is not None
+        self._elapsed_s += more_s
+        self._step += 1
+
+
+def recorded_options(options: LightOptions, names: Sequence[str], record: Figures) -> LightOptions:
+    """Options without those of which nothing was recorded: they count as refused."""
+    missing = {which for which, name in enumerate(names) if name not in record["rows"]}
+    return LightOptions(options.options, options.error, options.interior, options.time, refused=frozenset(missing))

@@ -1,0 +1,153 @@
+"""Truth at points of a picture alone, and shadows held against it there: what a probe can pay for.
+
+Points are pixels of the picture, just as they are in it: as wide, with sub-samples where the picture's have them. They lie on
+lattices of every n-th pixel along rows and columns, each between those before it, so that every step of a probe adds points, and
+the same ones every time. How far the next edge of a shadow is takes all pixels, but only one ray from each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import sqrt
+
+import numpy as np
+
+from selector.measure.footprint import texel_footprint_px
+from selector.measure.view_truth import TRUTH_SAMPLES
+from shadows.attached import attached
+from shadows.plan import Step
+from shadows.truth.metrics import INTERIOR_PX, from_edges_px
+from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene, truth_of
+from shadows.visibility import without_hidden_points
+from terrain.casters.rays import RayScene
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.subsampled import subsampled_points
+from terrain.scene import Scene
+
+LATTICE_POINTS = 10_000
+"""Points of a lattice, at least, and less than four times as many."""
+
+CONFIDENCE_Z = 1.96
+"""Standard errors within which a share lies in 95 of 100 cases."""
+
+
+@dataclass(frozen=True)
+class PointCounts:
+    """Of points: how many are ``decided``, how many of these are wrong, lie in cast shadow (of truth or of the picture), are wrong
+    there, and are wrong inside of shadows or lights.
+    """
+
+    decided: int = 0
+    wrong: int = 0
+    cast: int = 0
+    wrong_cast: int = 0
+    inside: int = 0
+
+    def __add__(self, other: PointCounts) -> PointCounts:
+        return PointCounts(*(a + b for a, b in zip(self.all, other.all, strict=True)))
+
+    @property
+    def all(self) -> tuple[int, ...]:
+        return self.decided, self.wrong, self.cast, self.wrong_cast, self.inside
+
+
+def share_interval(part: int, total: int, z: float = CONFIDENCE_Z) -> tuple[float, float]:
+    """Between which limits a share lies of which ``part`` of ``total`` were seen, by E. B. Wilson's score (Probable inference, the
+    law of succession, and statistical inference, 1927); 0 and 1 of nothing.
+    """
+    if total == 0:
+        return 0.0, 1.0
+    p = part / total
+    middle = (p + z * z / (2 * total)) / (1 + z * z / total)
+    half = z / (1 + z * z / total) * sqrt(p * (1 - p) / total + z * z / (4 * total * total))
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def lattice_offsets(every: int) -> list[tuple[int, int]]:
+    """First rows and columns of the lattices of every n-th pixel (n a power of two), each as far as may be from those before."""
+    offsets, half = [(0, 0)], every // 2
+    while half >= 1:
+        offsets += [(row + dr, col + dc) for dr, dc in ((half, half), (0, half), (half, 0)) for row, col in list(offsets)]
+        half //= 2
+    return offsets
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Truth in every ``every``-th pixel of a picture, from the ``first`` (row, column) on; ``buffer`` has the points."""
+
+    buffer: GeometryBuffer
+    first: tuple[int, int]
+    every: int
+    truth: Truth
+
+    def of_picture(self, values: np.ndarray) -> np.ndarray:
+        """A picture's values (rows, cols) at the points."""
+        return values[self.first[0] :: self.every, self.first[1] :: self.every]
+
+
+class PictureTruth:
+    """The truth of a picture under a light, lattice by lattice. ``effects`` are those that run: points at which nobody looks for
+    the light count as no surface.
+    """
+
+    def __init__(
+        self, scene: Scene, picture: GeometryBuffer, casters: Casters, light: str, effects: Collection[str] = frozenset()
+    ) -> None:
+        self.scene, self.picture, self.light, self.casters = scene, picture, light, casters
+        self._effects = effects
+        self.every = 1
+        rows, cols = picture.there.shape
+        while rows * cols / (2 * self.every) ** 2 >= LATTICE_POINTS:
+            self.every *= 2
+        self.attached = attached(picture, scene, light)
+
+    @property
+    def lattices(self) -> int:
+        """How many there are."""
+        return self.every**2
+
+    def lattice(self, number: int) -> Lattice:
+        """One of them."""
+        first = lattice_offsets(self.every)[number]
+        full = subsampled_points(self.picture, self.every, first)
+        truth = truth_of(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays)
+        buffer = without_hidden_points(full, self.scene, self.light, self._effects)
+        if buffer is not full:
+            truth = replace(truth, decidable=truth.decidable & buffer.there, there=truth.there & buffer.there)
+        return Lattice(buffer, first, self.every, truth)
+
+    @cached_property
+    def rays(self) -> RayScene:
+        """What rays can meet: making it takes longer than they do."""
+        return ray_scene(self.picture, self.scene, self.casters, ALL_KINDS)
+
+    def counts(self, lattice: Lattice, dark: np.ndarray, steps: Sequence[Step], pixel_m: float) -> PointCounts:
+        """A picture's class (rows, cols), True in shadow, attached shadow among it, that a plan's steps drew, held against truth.
+        ``pixel_m`` is a pixel's side.
+        """
+        truth = lattice.truth
+        dark, true_dark = lattice.of_picture(dark) & truth.there, ~truth.lit & truth.there
+        wrong = truth.decidable & (dark != true_dark)
+        cast = truth.decidable & (dark | true_dark) & ~truth.attached
+        decided, its_wrong, its_cast, wrong_cast = (
+            int(np.count_nonzero(which)) for which in (truth.decidable, wrong, cast, wrong & cast)
+        )
+        return PointCounts(decided, its_wrong, its_cast, wrong_cast, self._inside(lattice, wrong, steps, pixel_m))
+
+    def _inside(self, lattice: Lattice, wrong: np.ndarray, steps: Sequence[Step], pixel_m: float) -> int:
+        """How many of the wrong points (rows, cols) lie inside of truth's shadows or lights."""
+        if not wrong.any():
+            return 0
+        drawing: Sequence[Step | None] = steps or [None]
+        texel_px = np.max([texel_footprint_px(self.scene, step, lattice.buffer, pixel_m) for step in drawing], axis=0)
+        return int(np.count_nonzero(wrong & (lattice.of_picture(self._edge_px) > np.maximum(INTERIOR_PX, 2.0 * texel_px))))
+
+    @cached_property
+    def _edge_px(self) -> np.ndarray:
+        """How far the nearest edge of truth's shadows is from every pixel (rows, cols), pixels: by one ray from each."""
+        there = self.picture.there
+        return from_edges_px(~lit_from(self.picture, self.scene, self.light, self.rays) & there, there)

@@ -1,0 +1,115 @@
+"""The plan of a view by the policies ``probe`` and ``measure``: what was drawn, what it showed, and what it changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from selector.choices import PlanRequest, PolicyName
+from selector.cost.device_profile import DeviceProfile
+from selector.cost.error_model import ErrorModel
+from selector.cost.usual_device import uncalibrated_model, usual_device
+from selector.formatting import format_duration, format_percent
+from selector.measure.probing import LightProbe, Proof, leader_of, probed
+from selector.measure.proving import Pictures, SceneProver
+from selector.measure.view_truth import View
+from selector.options import Seen
+from selector.planner.planner import make_plan, planner_of
+from selector.predict import PlanOptions, plan_of, plan_options
+from shadows.algorithm import Reasoned
+from shadows.plan import Plan
+from terrain.describe import describe
+from terrain.scene import Scene
+
+DEFAULT_BUDGET_S = 3.0
+"""The time of a probe, if nothing else is asked."""
+
+SURE_CHANCE = 0.005
+"""A chance as small as this is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProbedView:
+    """A plan, and by light what was seen of choices on the way to it."""
+
+    plan: Plan
+    seen: Mapping[str, tuple[Seen, ...]]
+
+
+def probed_plan(
+    scene: Scene,
+    view: View,
+    name: str = "map",
+    overrides: dict[str, Any] | None = None,
+    *,
+    device: DeviceProfile | None = None,
+    budget_s: float | None = DEFAULT_BUDGET_S,
+    plan_request: PlanRequest | None = None,
+    errors: ErrorModel | None = None,
+    on_step: Callable[[int], None] = lambda drawn: None,
+) -> ProbedView:
+    """The plan of a scene's view whose algorithms and settings were proven on the view itself, within ``budget_s`` seconds
+    (``None``: without a limit, the policy ``measure``); ``on_step(drawn)`` is called after each candidate. What the level or the
+    request asks for is kept: only the rest is chosen. Without a device's calibration times are those of a usual one, until some
+    were measured.
+
+    Where no candidate meets the target the nearest is taken, and the plan says by how much it misses. Raises ``InputError`` and
+    ``UnsupportedError`` as ``selector.planner.planner.make_plan`` does.
+    """
+    plan_request = plan_request or scene.loaded.level
+    descriptor = describe(scene, view, name, "points")
+    model = errors if device is not None else uncalibrated_model(errors)
+    options = plan_options(planner_of(descriptor, plan_request, overrides), device or usual_device(), model)
+    pictures = Pictures(scene, view, make_plan(descriptor, plan_request, overrides, choices={}).runs)
+    probes: dict[str, LightProbe] = {}
+    for number, (light, its) in enumerate(options.lights.items()):
+        if not its.numbers:
+            continue
+        left_s = None
+        if budget_s is not None:
+            left_s = (budget_s - sum(probe.seconds for probe in probes.values())) / (len(options.lights) - number)
+        prover = SceneProver(pictures, options.planner, light, its)
+        probes[light] = probed(its, prover, options.max_error, options.shares_ms()[light], left_s, on_step)
+        options = replace(options, lights={**options.lights, light: probes[light].options})
+    policy: PolicyName = "measure" if budget_s is None else "probe"
+    plan = plan_of(options, policy, [reason for light, probe in probes.items() for reason in _reasons(options, light, probe)])
+    return ProbedView(plan, {light: tuple(probe.options.seen.values()) for light, probe in probes.items()})
+
+
+def _reasons(options: PlanOptions, light: str, probe: LightProbe) -> list[Reasoned]:
+    """What was drawn for a light, what it showed, and what it changed."""
+    its, reasons = probe.options, []
+    expected = {each.choice.name: each for each in its.options}
+    for which, (ms, proof) in probe.drawn.items():
+        name = its.options[which].choice.name
+        before = f"{format_percent(expected[name].errors.wrong_cast)} in {format_duration(expected[name].ms)} expected"
+        reasons.append(Reasoned(name=f"{light}: probed {name}", reason=f"{_shown(proof)} in {format_duration(ms)} ({before})"))
+    return [*reasons, Reasoned(name=f"{light}: probe", reason=_verdict(options, light, probe))]
+
+
+def _shown(proof: Proof) -> str:
+    """What truth said of a picture."""
+    text = f"{format_percent(proof.error)} wrong"
+    if proof.high > proof.low:
+        text += f" ({format_percent(proof.low)} to {format_percent(proof.high)}, with 95 % confidence)"
+    return f"{text} of {proof.points} points in cast shadow, {format_percent(proof.interior)} wrong inside"
+
+
+def _verdict(options: PlanOptions, light: str, probe: LightProbe) -> str:
+    """What came of it."""
+    its, max_error = probe.options, options.max_error
+    drawn = len(probe.drawn)
+    text = f"{drawn} of {len(its.options)} candidates drawn and compared with truth in {format_duration(1000.0 * probe.seconds)}: "
+    if not its.numbers:
+        return text + "none can draw this view"
+    leader = leader_of(its, max_error, options.shares_ms()[light])
+    before, now = (its.options[which].choice.name for which in (probe.leader_before, leader))
+    text += f"{now} as without it" if before == now else f"{now} in place of {before}"
+    chance = its.miss_chance(leader, max_error)
+    limit = format_percent(max_error)
+    if leader not in probe.drawn:
+        return f"{text}; there was no time to draw it: it keeps to {limit} with a chance of {format_percent(1.0 - chance)}"
+    if probe.confirmed:
+        return f"{text}; {'it keeps to' if chance <= 0.5 else 'it misses'} {limit}, and nothing else promises more"
+    return f"{text}; the time ended before nothing promised more"

@@ -1,0 +1,186 @@
+"""Options of a light drawn on a scene's view, and held against truth at points of the picture: what a probe goes by."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from selector.measure.compare import DrawnBlock, drawn_on, run_light
+from selector.measure.point_truth import CONFIDENCE_Z, Lattice, PictureTruth, PointCounts, share_interval
+from selector.measure.probing import Proof
+from selector.measure.view_truth import FOGGY, View
+from selector.options import LightOptions
+from selector.planner.planner import Planner
+from shadows.plan import Step
+from shadows.truth.metrics import COVERAGE_BLOCK_PX, block_shares
+from shadows.truth.truth import coverage_truth
+from shadows.visibility import with_apparent_sun
+from terrain.errors import UnsupportedError
+from terrain.geo.grid import MapView, blocks_of
+from terrain.scene import Scene
+
+MOST_DOUBLINGS = 4
+"""Truth is asked for on one lattice of a picture, then on 2, 4, 8 and 16 of them: of usual pictures these are all pixels."""
+
+COVERAGE_BLOCKS = 16
+"""Blocks of pixels that coverage is compared in at first; twice as many with every step, until they are as many as a report's."""
+
+DRAWN, LONG_MS = 2, 3000.0
+"""Options are drawn so often, if that takes less than this: the least time counts, since what else a machine does, and what is made
+once, only ever adds to it.
+"""
+
+
+class Pictures:
+    """What is drawn of a view, whatever the light: of a map the block that most of the view lies in."""
+
+    def __init__(self, scene: Scene, view: View, effects: Collection[str]) -> None:
+        self.scene, self.view = with_apparent_sun(scene, effects), probed_part(view)
+        self.effects = effects
+
+    @cached_property
+    def drawn(self) -> list[DrawnBlock]:
+        if isinstance(self.view, MapView):
+            ((picture, casters),) = drawn_on(self.scene, self.view)
+            return [(picture, casters)]
+        return drawn_on(self.scene, self.view)
+
+
+def probed_part(view: View) -> View:
+    """What is probed of a view: all of it, or of a map the block that most of it lies in."""
+    if not isinstance(view, MapView):
+        return view
+
+    def common(part: tuple[View, int, int]) -> int:
+        block, row, col = part
+        rows = min(row + block.rows, view.rows) - max(row, 0)
+        return rows * (min(col + block.cols, view.cols) - max(col, 0))
+
+    return max(blocks_of(view), key=common)[0]
+
+
+class SceneProver:
+    """A ``selector.measure.probing.Prover`` of a light's options on a scene."""
+
+    def __init__(self, pictures: Pictures, planner: Planner, light: str, options: LightOptions) -> None:
+        self._start_s = time.perf_counter()
+        self._pictures, self._planner, self._light, self._options = pictures, planner, light, options
+        self._pixel_m = planner.descriptor.pixel_m
+        self._doublings = 0
+        self._lattices: list[list[Lattice]] = []
+        self._points_s = 0.0
+        self._dark: dict[int, list[np.ndarray]] = {}
+        self._parts: dict[int, list[np.ndarray]] = {}
+        self._steps: dict[int, Sequence[Step]] = {}
+        self._counted: dict[tuple[int, int, int], PointCounts] = {}
+        self._shares: list[np.ndarray] = []
+
+    def elapsed_s(self) -> float:
+        """Seconds since it began."""
+        return time.perf_counter() - self._start_s
+
+    @staticmethod
+    def draw_s(ms: float) -> float:
+        """How long it takes to draw what takes so many milliseconds, seconds."""
+        return (DRAWN if ms < LONG_MS else 1) * ms / 1000.0
+
+    def draw(self, which: int) -> float | None:
+        """Draw an option; its milliseconds. ``None`` where its algorithm refuses the view after all."""
+        plan = self._planner.plan({self._light: self._options.options[which].choice}, {})
+        try:
+            run = run_light(self._pictures.scene, self._pictures.drawn, plan, self._light)
+        except UnsupportedError:
+            return None
+        ms = run.times[0]
+        for _ in range(1, DRAWN if ms < LONG_MS else 1):
+            ms = min(ms, run_light(self._pictures.scene, self._pictures.drawn, plan, self._light).times[0])
+        self._parts[which], self._steps[which] = run.parts, plan.steps_under(self._light)
+        for truth, part in zip(self._truths, run.parts, strict=True):
+            part[truth.attached] = 0.0
+            part[~truth.picture.there] = np.nan
+        self._dark[which] = [np.nan_to_num(part, nan=1.0) < 0.5 for part in run.parts]
+        return ms
+
+    @cached_property
+    def _truths(self) -> list[PictureTruth]:
+        pictures = self._pictures
+        return [PictureTruth(pictures.scene, each.own, casters, self._light, pictures.effects) for each, casters in pictures.drawn]
+
+    @property
+    def foggy(self) -> bool:
+        """Whether truth decides so little that coverage is what counts."""
+        counts = [lattice.truth for its in self._known() for lattice in its]
+        surface, decided = (sum(int(getattr(truth, name).sum()) for truth in counts) for name in ("there", "decidable"))
+        return decided < (1.0 - FOGGY) * surface
+
+    def _known(self) -> list[list[Lattice]]:
+        """The lattices so far, picture by picture."""
+        start = time.perf_counter()
+        while len(self._lattices) < len(self._truths):
+            self._lattices.append([])
+        for truth, its in zip(self._truths, self._lattices, strict=True):
+            while len(its) < min(2**self._doublings, truth.lattices):
+                its.append(truth.lattice(len(its)))
+                self._points_s = time.perf_counter() - start
+        return self._lattices
+
+    def proof(self, which: int) -> Proof:
+        """What truth at the points so far says of an option that was drawn."""
+        total = PointCounts()
+        for number, its in enumerate(self._known()):
+            for index, lattice in enumerate(its):
+                key = (which, number, index)
+                if key not in self._counted:
+                    dark = self._dark[which][number]
+                    self._counted[key] = self._truths[number].counts(lattice, dark, self._steps[which], self._pixel_m)
+                total += self._counted[key]
+        return self._of_coverage(which, total) if self.foggy else proof_of(total, self._all_known)
+
+    def _of_coverage(self, which: int, total: PointCounts) -> Proof:
+        """The same where coverage counts: the mean difference of shares of shadow in blocks of pixels."""
+        blocks = COVERAGE_BLOCKS * 2**self._doublings
+        if not self._shares:
+            scene = self._pictures.scene
+            self._shares = [
+                coverage_truth(each.own, scene, casters, COVERAGE_BLOCK_PX, blocks, light=self._light)
+                for each, casters in self._pictures.drawn
+            ]
+        off = np.concatenate([
+            np.abs(block_shares(1.0 - part) - shares).ravel()
+            for part, shares in zip(self._parts[which], self._shares, strict=True)
+        ])  # fmt: skip
+        off = off[np.isfinite(off)]
+        mean, half = (float(off.mean()), CONFIDENCE_Z * float(off.std()) / max(len(off), 1) ** 0.5) if len(off) else (0.0, 1.0)
+        half = 0.0 if self._doublings == MOST_DOUBLINGS else half
+        inside = proof_of(total, self._all_known)
+        return Proof(
+            mean, max(mean - half, 0.0), min(mean + half, 1.0), inside.interior, inside.interior_low, inside.interior_high, len(off)
+        )
+
+    @property
+    def _all_known(self) -> bool:
+        return all(len(its) == truth.lattices for its, truth in zip(self._known(), self._truths, strict=True))
+
+    def more_points_s(self) -> float | None:
+        """How long it would take to ask truth at more points, seconds; ``None`` where all of them are known."""
+        if self._doublings == MOST_DOUBLINGS or (self._all_known and not self.foggy):
+            return None
+        return self._points_s * 2**self._doublings * len(self._truths)
+
+    def more_points(self) -> None:
+        """Ask truth at more points."""
+        self._doublings += 1
+        self._shares = []
+
+
+def proof_of(counts: PointCounts, all_known: bool) -> Proof:
+    """What counts say; ``all_known``: of all pixels, so that nothing is left to chance."""
+    error, interior = counts.wrong_cast / max(counts.cast, 1), counts.inside / max(counts.decided, 1)
+    if all_known:
+        return Proof(error, error, error, interior, interior, interior, counts.cast)
+    low, high = share_interval(counts.wrong_cast, counts.cast)
+    inside_low, inside_high = share_interval(counts.inside, counts.decided)
+    return Proof(error, low, high, interior, inside_low, inside_high, counts.cast)

@@ -1,0 +1,190 @@
+"""What can be chosen for a light, and what is believed of it: expected times and errors, corrected by what was seen of some."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import exp, log
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from selector.belief import Belief
+from selector.choices import Choice
+from selector.cost.cost_model import predicted_ms
+from selector.cost.device_profile import DeviceProfile
+from selector.cost.error_model import (
+    LEAST,
+    LEAST_INTERIOR,
+    ErrorModel,
+    ExpectedErrors,
+    errors_together,
+    log_error,
+    log_interior,
+    packaged_model,
+    wrong_of_step,
+)
+from selector.cost.unmeasured import UnmeasuredError
+from selector.expected_loss import Forecast
+from selector.planner.planner import Planner
+from selector.portfolio import portfolio
+from selector.ranking import CandidateFigures
+from shadows.plan import Step
+from shadows.truth.metrics import MOST_INTERIOR
+from terrain.level.algorithm_names import AlgorithmName
+from terrain.level.level import CasterKind
+
+LEAST_MS = 1e-6
+"""Times are compared by their logarithms, from this one on."""
+
+
+@dataclass(frozen=True)
+class PredictedChoice:
+    """A choice for a light with the steps that it comes to, and what is expected of them."""
+
+    choice: Choice
+    steps: tuple[Step, ...]
+    ms: float
+    errors: ExpectedErrors
+
+    @property
+    def algorithms(self) -> frozenset[AlgorithmName]:
+        return frozenset(step.algorithm for step in self.steps)
+
+    @property
+    def family(self) -> tuple[tuple[object, ...], ...]:
+        """What it has in common with those that differ from it in settings alone: which algorithm draws what."""
+        return tuple((step.algorithm, step.kinds) for step in self.steps)
+
+
+class Seen(BaseModel):
+    """What was seen of a choice, by its name: its error (as targets count it), what is wrong inside, and milliseconds; with the
+    standard deviations of their logarithms (``selector.cost.error_model.log_error``, ``log_interior``).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    choice: str
+    error: float = Field(ge=0, le=1)
+    error_noise: float = Field(ge=0)
+    interior: float = Field(ge=0, le=1)
+    interior_noise: float = Field(ge=0)
+    ms: float = Field(ge=0)
+    ms_noise: float = Field(ge=0)
+
+
+@dataclass(frozen=True, eq=False)
+class LightOptions:
+    """The options for a light with what is believed of their errors, what is wrong inside, and their times; ``seen`` by number, and
+    those that turned out to be ``refused`` by their algorithms.
+    """
+
+    options: tuple[PredictedChoice, ...]
+    error: Belief
+    interior: Belief
+    time: Belief
+    seen: Mapping[int, Seen] = field(default_factory=dict)
+    refused: frozenset[int] = frozenset()
+
+    @classmethod
+    def expected(cls, options: Sequence[PredictedChoice], model: ErrorModel | None = None) -> LightOptions:
+        """Before anything was seen of any."""
+        model = model or packaged_model()
+        families, errors, shared = [each.family for each in options], [each.errors for each in options], model.shared
+        return cls(
+            tuple(options),
+            Belief.prior([log_error(its.wrong_cast) for its in errors], [its.spread for its in errors], families, shared.error),
+            Belief.prior(
+                [log_interior(its.interior) for its in errors], [its.interior_spread for its in errors], families, shared.interior
+            ),
+            Belief.prior(
+                [log(max(each.ms, LEAST_MS)) for each in options], [model.time_spread] * len(options), families, shared.time
+            ),
+        )
+
+    def after(self, seen: Iterable[Seen]) -> LightOptions:
+        """What is believed when some were seen, of each the last time; of others than these options nothing is learnt."""
+        numbers = {option.choice.name: number for number, option in enumerate(self.options)}
+        out = self
+        for its in seen:
+            if its.choice in numbers:
+                which = numbers[its.choice]
+                out = replace(
+                    out,
+                    error=out.error.observed(which, log_error(its.error), its.error_noise),
+                    interior=out.interior.observed(which, log_interior(its.interior), its.interior_noise),
+                    time=out.time.observed(which, log(max(its.ms, LEAST_MS)), its.ms_noise),
+                    seen={**out.seen, which: its},
+                )
+        return out
+
+    def figures(self, which: int) -> CandidateFigures:
+        """What is expected of an option."""
+        error, interior = exp(self.error.mean[which]) - LEAST, exp(self.interior.mean[which]) - LEAST_INTERIOR
+        return CandidateFigures(
+            self.options[which].choice.name, exp(self.time.mean[which]), min(max(error, 0.0), 1.0), min(max(interior, 0.0), 1.0)
+        )
+
+    def wrong(self, which: int) -> float:
+        """The share of all pixels that an option is expected to get wrong."""
+        errors = self.options[which].errors
+        return min(errors.wrong * self.figures(which).error / errors.wrong_cast, 1.0) if errors.wrong_cast > 0.0 else errors.wrong
+
+    def miss_chance(self, which: int, max_error: float) -> float:
+        """How likely it is that an option has more than ``max_error`` wrong, or more than ``MOST_INTERIOR`` inside, in [0, 1]."""
+        error = self.error.chance_over(which, log_error(max_error))
+        inside = self.interior.chance_over(which, log_interior(MOST_INTERIOR))
+        return max(error, inside)  # what is wrong inside is wrong besides
+
+    def forecast(self, which: int, max_error: float) -> Forecast:
+        """What there is to hope for of an option with a target."""
+        return Forecast(self.figures(which), self.miss_chance(which, max_error), self.time.scale(which))
+
+    def forecasts(self, max_error: float) -> list[Forecast]:
+        """The same of all options that are not refused."""
+        return [self.forecast(which, max_error) for which in self.numbers]
+
+    @property
+    def numbers(self) -> list[int]:
+        """The options that are not refused."""
+        return [which for which in range(len(self.options)) if which not in self.refused]
+
+    def number(self, name: str) -> int:
+        """That of the option of a name."""
+        return next(which for which, option in enumerate(self.options) if option.choice.name == name)
+
+
+def predicted_choices(
+    planner: Planner,
+    light: str,
+    kinds: Sequence[CasterKind],
+    device: DeviceProfile,
+    errors: ErrorModel | None = None,
+    unmeasured: dict[AlgorithmName, str] | None = None,
+) -> list[PredictedChoice]:
+    """What can be chosen for a light, no two that come to the same steps, with what is expected of each.
+
+    An algorithm of which nothing can be expected is left out, and put into ``unmeasured`` with the reason.
+    """
+    descriptor, model = planner.descriptor, errors or packaged_model()
+    options: dict[tuple[object, ...], PredictedChoice] = {}
+    known: dict[object, tuple[float, float]] = {}
+    for choice in portfolio(descriptor, light, kinds, planner.asked):
+        steps = planner.steps(light, choice)
+        # Many picks share steps. A planner's equal settings are one, and values are slow to compare.
+        keys = tuple((step.algorithm, step.kinds, id(step.settings)) for step in steps)
+        if keys in options:
+            continue
+        try:
+            for key, step in zip(keys, steps, strict=True):
+                if key not in known:
+                    ms = predicted_ms(device, descriptor, light, step.kinds, step.algorithm, step.settings)
+                    known[key] = ms, wrong_of_step(descriptor, light, step, model)
+        except UnmeasuredError as error:
+            if unmeasured is not None:
+                unmeasured[error.algorithm] = error.why
+            continue
+        wrong = [(step, known[key][1]) for key, step in zip(keys, steps, strict=True)]
+        options[keys] = PredictedChoice(
+            choice, steps, sum(known[key][0] for key in keys), errors_together(descriptor, light, wrong, model)
+        )
+    return list(options.values())
