@@ -19,6 +19,9 @@ from pydantic import BaseModel, ConfigDict, Field
 LOGISTIC_SD = pi / sqrt(3.0)
 """The standard deviation of a logistic distribution of scale 1."""
 
+MOST_SURPRISE = 3.0
+"""A value that is off by more standard deviations than this tells no more of others: something is wrong with its own model."""
+
 MOST_EXPONENT = 50.0
 """Beyond it a chance is 0 or 1."""
 
@@ -49,7 +52,8 @@ class Belief:
         cls, expected_log: Sequence[float], scales: Sequence[float], families: Sequence[object], shared: SharedVariance
     ) -> Belief:
         """Before anything was tried, of candidates of some families; ``scales`` are those of their logistic distributions."""
-        same = np.array([[one == other for other in families] for one in families], np.float64).reshape(len(families), -1)
+        count = len(families)
+        same = np.array([[one == other for other in families] for one in families], np.float64).reshape(count, count)
         sd = LOGISTIC_SD * np.array(scales, np.float64)
         correlation = shared.view + shared.family * same + shared.own * np.eye(len(families))
         return cls(np.array(expected_log, np.float64), correlation * np.outer(sd, sd))
@@ -60,8 +64,11 @@ class Belief:
         total = column[which] + noise**2
         if total <= 0.0:
             return self
-        gain = column / total
-        return Belief(self.mean + gain * (value_log - self.mean[which]), self.covariance - np.outer(gain, column))
+        gain, off = column / total, value_log - self.mean[which]
+        told = float(np.clip(off, -MOST_SURPRISE * np.sqrt(total), MOST_SURPRISE * np.sqrt(total)))
+        mean = self.mean + gain * told
+        mean[which] = self.mean[which] + gain[which] * off
+        return Belief(mean, self.covariance - np.outer(gain, column))
 
     def scale(self, which: int) -> float:
         """That of a candidate's logistic distribution."""

@@ -22,6 +22,7 @@ from selector.cost.calibration import calibrate
 from selector.cost.calibration_scenes import calibration_views
 from selector.cost.device_profile import DeviceProfile
 from selector.measure.compare import compare
+from selector.measure.probe import probed_plan
 from selector.planner.planner import make_plan
 from selector.predict import predicted_plan
 from selector.select import select
@@ -272,6 +273,30 @@ def test_it_is_chosen_by_what_its_record_expects(coarse_rays, registered, ridges
     assert other.algorithm[SUN]["relief"] == "sweep"
     said = {one.name: one.reason for one in other.rejected}
     assert "chance of more than 2 %" in said["coarse_rays"] or said["coarse_rays"].startswith("expected at best: an error of 4.0 %")
+
+
+def test_a_probe_catches_an_error_model_that_is_wrong_by_a_factor_of_ten(gl, coarse_rays, registered, scene):
+    """It claims a tenth of what it gets wrong, and is believed until it is drawn once."""
+    view, level = scene.view(size=(64, 64)), scene.loaded.level
+    square = {"map_size": 256}  # a ray for each square of 16 pixels
+    real = probed_plan(scene, view, overrides={"algorithm": "coarse_rays", **square, "max_error": 0.9}, device=device(**RATES))
+    really = real.plan.predicted.wrong_cast
+    assert really > 0.05 and not any(each.interior_noise for each in real.seen[SUN])
+    claimed = replace(GOOD, floor=really / 10.0)
+    registered(replace(ALGORITHM, resolve=coarse, accuracy=Accuracy(constants={"coarse_rays": claimed})))
+    asked = {"max_error": really / 3.0}
+    believed = predicted_plan(describe(scene, view), level, asked, device(**RATES))
+    assert believed.algorithm[SUN]["relief"] == "coarse_rays" and believed.target.met
+    probed = probed_plan(scene, view, overrides=asked, device=device(**RATES)).plan
+    assert probed.policy == "probe" and probed.algorithm[SUN]["relief"] != "coarse_rays" and probed.target.met
+    said = {one.name: one.reason for one in probed.reasons}
+    assert "sun: probed coarse_rays" in said and "expected)" in said["sun: probed coarse_rays"]
+    assert "in place of coarse_rays" in said["sun: probe"]
+
+
+def coarse(request: SettingsRequest) -> ResolvedSettings:
+    """As coarse as the test of a probe has it."""
+    return CoarseRaysSettings(square_px=16), []
 
 
 @pytest.mark.parametrize(

@@ -176,12 +176,12 @@ class _Deviations:
 
     @classmethod
     def of(cls, cases: Sequence[FitCase], off: Callable[[FitCase, ExpectedErrors], float], model: ErrorModel) -> _Deviations:
-        views: dict[str, int] = {}
+        views: dict[int, int] = {}
         families: dict[object, int] = {}
         rows = [
             (
                 off(case, case.expected(model)),
-                views.setdefault(case.view["name"], len(views)),
+                views.setdefault(id(case.view), len(views)),
                 families.setdefault(tuple((step.algorithm, step.kinds) for step in case.steps), len(families)),
             )
             for case in cases

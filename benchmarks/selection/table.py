@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ ROW_COLUMNS = ("algorithms", "ms", "wrong", "wrong_cast", "interior", "coverage"
 
 DIGITS = 8
 """Of a descriptor's numbers: shares must still add up to no more than one."""
+
+PROBE_DIGITS = 4
 
 Figures = dict[str, Any]
 
@@ -43,7 +45,15 @@ def _packed(view: Figures) -> Figures:
         "descriptor": _rounded(descriptor),
         "rows": {name: [row[column] for column in ROW_COLUMNS] for name, row in view["rows"].items()},
         "picks": {choice: names.index(row) for choice, row in view["picks"].items() if row in names},
+        "probe": _with_rows(
+            view.get("probe") or {}, lambda rows: {str(names.index(row)): its for row, its in rows if row in names}
+        ),
     }
+
+
+def _with_rows(probe: Figures, renamed: Callable[[Iterable[tuple[str, Any]]], Figures]) -> Figures:
+    """What probes see of a view, its rows by other names, all with few digits."""
+    return probe and {**_rounded(probe, PROBE_DIGITS), "rows": renamed(_rounded(probe["rows"], PROBE_DIGITS).items())}
 
 
 def _unpacked(line: Figures) -> Figures:
@@ -51,15 +61,16 @@ def _unpacked(line: Figures) -> Figures:
     return line | {
         "rows": {name: dict(zip(ROW_COLUMNS, row, strict=True)) for name, row in line["rows"].items()},
         "picks": {choice: names[number] for choice, number in line["picks"].items()},
+        "probe": _with_rows(line.get("probe") or {}, lambda rows: {names[int(number)]: its for number, its in rows}),
     }
 
 
-def _rounded(value: Any) -> Any:
+def _rounded(value: Any, digits: int = DIGITS) -> Any:
     match value:
         case float():
-            return float(f"{value:.{DIGITS}g}")
+            return float(f"{value:.{digits}g}")
         case dict():
-            return {key: _rounded(each) for key, each in value.items()}
+            return {key: _rounded(each, digits) for key, each in value.items()}
         case list():
-            return [_rounded(each) for each in value]
+            return [_rounded(each, digits) for each in value]
     return value

@@ -4,12 +4,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.expected_loss import LIKELY_MISS_CHANCE, MISS_PENALTY, TIME_SPREAD, Forecast, late_chance, least_expected_loss
+from selector.expected_loss import LIKELY_MISS_CHANCE, MISS_PENALTY, Forecast, least_expected_loss
 from selector.ranking import CandidateFigures
+
+TIME_SPREAD = 0.2
 
 
 def forecast(name: str, ms: float, chance: float, error: float = 0.005, interior: float = 0.0) -> Forecast:
-    return Forecast(CandidateFigures(name, ms, error, interior), chance)
+    return Forecast(CandidateFigures(name, ms, error, interior), chance, TIME_SPREAD)
+
+
+def late_chance(ms: float, max_ms: float | None) -> float:
+    return forecast("a candidate", ms, 0.0).late_chance(max_ms)
 
 
 def test_a_little_time_is_spent_to_be_sure_and_a_lot_is_not():
@@ -81,7 +87,8 @@ forecasts = st.lists(
     st.tuples(st.floats(0.1, 1e4), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 0.01)), min_size=1, max_size=12
 ).map(
     lambda rows: [
-        Forecast(CandidateFigures(f"c{k}", ms, error, inside), chance) for k, (ms, chance, error, inside) in enumerate(rows)
+        Forecast(CandidateFigures(f"c{k}", ms, error, inside), chance, TIME_SPREAD)
+        for k, (ms, chance, error, inside) in enumerate(rows)
     ]
 )
 
@@ -106,7 +113,7 @@ def test_times_in_another_unit_change_nothing(candidates, max_error, factor):
     longer = [
         Forecast(
             CandidateFigures(one.figures.name, one.figures.ms * factor, one.figures.error, one.figures.interior),
-            one.error_miss_chance
+            one.error_miss_chance, one.time_spread
         )
               for one in candidates]  # fmt: skip
     assert least_expected_loss(candidates, max_error).winner.name == least_expected_loss(longer, max_error).winner.name

@@ -10,12 +10,14 @@ from typing import Any
 
 import pytest
 
+from selector.belief import SharedVariance
 from selector.choices import StandaloneRequest
 from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import ErrorModel, HillCurve, error_groups
+from selector.cost.error_model import ErrorModel, HillCurve, SharedErrors, error_groups
 from selector.formatting import format_duration, format_percent
+from selector.options import PredictedChoice, predicted_choices
 from selector.planner.planner import Planner, make_plan, planner_of
-from selector.predict import PredictedChoice, predicted_choices, predicted_plan
+from selector.predict import predicted_plan
 from shadows.plan import Plan
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
@@ -31,6 +33,8 @@ ERRORS = ErrorModel(
     interior=dict.fromkeys(error_groups(), 0.0),
     spread=dict.fromkeys(error_groups(), 0.05),
     interior_spread=dict.fromkeys(error_groups(), 0.05),
+    time_spread=0.2,
+    shared=SharedErrors(**dict.fromkeys(("error", "interior", "time"), SharedVariance(view=0.0, family=0.0))),
 )
 """Errors about which little is left to chance."""
 

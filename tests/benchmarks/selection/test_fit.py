@@ -9,7 +9,8 @@ import pytest
 
 from benchmarks.selection.fit import KINDS, MAP_ALGORITHMS, START, FitCase, _model, _Terms, cases_of, fit_model
 from benchmarks.selection.policies import FOLDS, held_out_views, terrains
-from selector.cost.error_model import LEAST, LEAST_INTERIOR, LEAST_SPREAD, ErrorModel, HillCurve, error_groups
+from selector.belief import SharedVariance
+from selector.cost.error_model import LEAST, LEAST_INTERIOR, LEAST_SPREAD, ErrorModel, HillCurve, SharedErrors, error_groups
 from shadows.maps.settings import Cascade, PerspectiveMapSettings, ShadowMapSettings
 from shadows.plan import Step
 from shadows.sweep.settings import SweepSettings
@@ -33,6 +34,8 @@ TRUE = ErrorModel(
     interior=dict.fromkeys(error_groups(), 0.0),
     spread=dict.fromkeys(error_groups(), 0.0),
     interior_spread=dict.fromkeys(error_groups(), 0.0),
+    time_spread=0.2,
+    shared=SharedErrors(**dict.fromkeys(("error", "interior", "time"), SharedVariance(view=0.0, family=0.0))),
 )
 
 

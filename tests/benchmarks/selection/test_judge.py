@@ -34,7 +34,7 @@ def row(ms: float, error: float, interior: float = 0.0, algorithms: str = "shado
 def viewed(rows: Figures, choices: dict[str, str] | None = None, name: str = "view") -> Figures:
     """A view's record; every row is a pick's of the same name unless ``picks`` says otherwise."""
     names = {each: each for each in rows} if choices is None else choices
-    return {"name": name, "error": "wrong_cast", "noise_floor": 0.0, "rows": rows, "picks": names}
+    return {"name": name, "terrain": name, "error": "wrong_cast", "noise_floor": 0.0, "rows": rows, "picks": names}
 
 
 def asked(view: Figures, max_error: float, max_ms: float | None = None) -> GoalInstance:
@@ -72,6 +72,19 @@ def test_what_the_noise_of_truth_leaves_to_tell_is_no_error():
     assert met == ["middle", "large"]
     assert not asked(SIZES, 0.001).meets("large")
     assert asked(noisy, 0.05).meets("small")  # where more is asked for than noise, that counts
+
+
+def test_a_target_below_the_noise_of_truth_cannot_be_told():
+    noisy = SIZES | {"noise_floor": 0.007}
+    assert [asked(noisy, error).tellable for error in (0.02, 0.021, 0.022)] == [False, True, True]
+    assert asked(SIZES, 1e-9).tellable
+
+
+def test_strictly_a_miss_costs_ten_times_the_slowest_row_whatever_meets_the_target():
+    """At most 3 % within 20 ms: middle alone, in 20 ms; the slowest row takes 40."""
+    one = asked(SIZES, 0.03, 20.0)
+    assert one.losses(strict=True) == pytest.approx({"small": 20.0, "middle": 1.0, "large": 20.0, "leaky": 20.0})
+    assert asked(SIZES, 0.001).losses(strict=True) == asked(SIZES, 0.001).losses()  # overshoots have no cutoff
 
 
 def test_a_choice_of_one_is_none_and_a_limit_of_time_lies_between_the_quickest_and_the_slowest():
@@ -155,12 +168,15 @@ def test_a_verdict_on_known_losses():
     """Losses are 1, 3 and 30, and 10, 1 and 10: the single best, slow, has 2 in the mean, rough and slow have 15.5."""
     both = instances_of([QUICK, SLOW], [THREE])
     best = judged(both, taken("quick", "slow"), taken("slow", "slow"))
-    assert (best.instances, best.met, best.regret, best.loss, best.single, best.single_met) == (2, 1.0, 0.0, 1.0, 2.0, 1.0)
+    assert (best.instances, best.met, best.regret, best.single, best.single_met) == (2, 1.0, 0.0, 2.0, 1.0)
     assert best.gap_closed == pytest.approx(1.0)
     poor = judged(both, taken("rough", "slow"), taken("slow", "slow"))
-    assert (poor.met, poor.loss, poor.regret) == pytest.approx((0.5, 15.5, 14.5))
+    assert (poor.met, poor.regret, poor.regret_median) == pytest.approx((0.5, 14.5, 14.5))
     assert poor.regret_p95 == pytest.approx(0.95 * 29.0)
-    assert (poor.regret_met, poor.regret_met_p95) == pytest.approx((0.0, 0.0))
+    assert poor.regret_met == 0.0
+    # Two terrains drawn twice: both of the first, both of the second, or one of each.
+    assert poor.regret_interval == pytest.approx((0.0, 29.0)) and poor.met_interval == (0.0, 1.0)
+    assert best.regret_interval == (0.0, 0.0)
     assert poor.gap_closed == pytest.approx((2.0 - 15.5) / (2.0 - 1.0))
     assert poor.worst == [("quick is right", "3 %", "rough", 29.0), ("slow is right", "3 %", "slow", 0.0)]
 
@@ -177,7 +193,7 @@ def test_only_what_can_be_met_counts_as_missed_and_overshoots_count_as_losses():
 def test_what_a_choice_takes_itself_counts():
     """5 ms are half of the best of the first view and a quarter of the second's."""
     its = judged(
-        instances_of([QUICK, SLOW], [THREE]), taken("quick", "slow"), taken("slow", "slow"), own_ms=lambda view: 5.0
+        instances_of([QUICK, SLOW], [THREE]), taken("quick", "slow"), taken("slow", "slow"), own_ms=lambda one: 5.0
     )  # fmt: skip
     assert its.regret == pytest.approx(0.375) and its.gap_closed == pytest.approx(0.625) and its.single == 2.0
 
@@ -253,7 +269,7 @@ def test_the_virtual_best_closes_all_of_the_gap_and_the_single_best_none(several
     assume(able and any(one.meets(single[one.view["name"], goal.name]) for one in able))
     best = {(one.view["name"], goal.name): best_of(one) for one in instances}
     its = judged(instances, best, single)
-    assert (its.met, its.loss, its.regret, its.regret_met) == (1.0, 1.0, 0.0, 0.0)
+    assert (its.met, its.regret, its.regret_met) == (1.0, 0.0, 0.0)
     if its.single > 1.1001:
         assert its.gap_closed == pytest.approx(1.0)
         assert judged(instances, single, single).gap_closed == pytest.approx(0.0)

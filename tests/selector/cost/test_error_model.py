@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from selector.belief import SharedVariance
 from selector.cost.error_model import (
     LEAST,
     LEAST_INTERIOR,
@@ -16,6 +17,7 @@ from selector.cost.error_model import (
     ErrorModel,
     ExpectedErrors,
     HillCurve,
+    SharedErrors,
     error_group_of,
     error_groups,
     expected_errors,
@@ -51,6 +53,8 @@ MODEL = ErrorModel(
     interior=dict.fromkeys(error_groups(), 0.25),
     spread={name: 0.1 * (1 + number) for number, name in enumerate(error_groups())},
     interior_spread=dict.fromkeys(error_groups(), 0.5),
+    time_spread=0.2,
+    shared=SharedErrors(**dict.fromkeys(("error", "interior", "time"), SharedVariance(view=0.0, family=0.0))),
 )
 
 

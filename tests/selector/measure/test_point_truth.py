@@ -1,0 +1,106 @@
+"""Truth at points of a picture is the whole picture's, lattice by lattice; all lattices together count what the metrics do."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from api.catalogue import find_level
+from selector.measure.point_truth import PictureTruth, PointCounts, lattice_offsets, share_interval
+from selector.measure.view_truth import TRUTH_SAMPLES
+from shadows.render import render_frame
+from shadows.truth.metrics import errors_of
+from shadows.truth.truth import truth_of
+from terrain.casters.reach import casters_of
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.subsampled import subsampled_view
+from terrain.level.level import SUN, load_level
+from terrain.scene import Scene, build_scene
+from tests.render import plan_of
+
+EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [240, 192]}
+PLAIN = {
+    "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "meshes": [{"generate": "tetrahedra"}],
+    "sun": {"azimuth": 200, "altitude": 35}, "views": {"eye": EYE, "map": {"kind": "map", "size": [240, 240]}},
+}  # fmt: skip
+"""Bodies on a plain."""
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Scene:
+    path = tmp_path_factory.mktemp("points") / "level.yaml"
+    path.write_text(json.dumps(PLAIN), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+@pytest.fixture(scope="module")
+def wooded() -> Scene:
+    return build_scene(load_level(find_level("spatialace")))
+
+
+def picture_truth(scene: Scene, view) -> PictureTruth:
+    picture = geometry_of(scene, view)
+    return PictureTruth(scene, picture, casters_of(scene, picture), SUN)
+
+
+@pytest.mark.parametrize("every", [1, 2, 4, 8])
+def test_lattices_have_every_pixel_once(every):
+    seen = np.zeros((16, 24), int)
+    for row, col in lattice_offsets(every):
+        seen[row::every, col::every] += 1
+    assert (seen == 1).all() and len(lattice_offsets(every)) == every**2
+
+
+@pytest.mark.parametrize(("level", "name"), [("scene", "eye"), ("scene", "map"), ("wooded", "main")])
+def test_a_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
+    """Were its pixels as wide as they lie apart, leaves would be others, and some per cent of the points in woods."""
+    scene = request.getfixturevalue(level)
+    view = scene.view(name) if level == "scene" else scene.view(name, size=(240, 192))
+    truth = picture_truth(scene, view)
+    whole = truth_of(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
+    assert truth.every == 2
+    for number in (0, 3):
+        lattice = truth.lattice(number)
+        for field in ("lit", "attached", "there"):
+            assert np.array_equal(getattr(lattice.truth, field), lattice.of_picture(getattr(whole, field)))
+        differ = lattice.truth.decidable != lattice.of_picture(whole.decidable)
+        assert differ.mean() < 1e-3
+
+
+@pytest.mark.parametrize("name", ["eye", "map"])
+def test_all_lattices_together_count_what_the_metrics_do(gl, scene, name):
+    view = scene.view(name)
+    truth = picture_truth(scene, view)
+    plan = plan_of(scene, view, algorithm="shadow_map", map_size=128, filter=1)
+    whole = truth_of(truth.picture, scene, truth.casters, TRUTH_SAMPLES)
+    visibility = render_frame(scene, view, plan).visibility
+    expected = errors_of(visibility, whole, 1.0)
+    dark = np.nan_to_num(visibility, nan=1.0) < 0.5
+    total = PointCounts()
+    for number in range(truth.lattices):
+        total += truth.counts(truth.lattice(number), dark, (), 1.0)
+    assert total.wrong_cast / total.cast == pytest.approx(expected.wrong_cast, rel=0.01) and expected.wrong_cast > 0.005
+    assert total.inside / total.decided == pytest.approx(expected.interior, rel=0.02, abs=2e-5)
+    lost = truth.counts(truth.lattice(0), np.zeros_like(dark), (), 1.0)  # without any shadow, most of it is lost inside
+    assert lost.wrong_cast == lost.cast and lost.inside > 10
+
+
+def test_a_view_of_every_nth_pixel_knows_how_wide_its_pixels_are(scene):
+    for name in ("eye", "map"):
+        view = scene.view(name)
+        few = subsampled_view(view, 4)
+        assert few.pixel_share == 0.25
+        assert few.shifted(0.5, -0.5).row0 == pytest.approx(view.shifted(0.5, -0.5).row0)
+        assert few.part(1, 2, 3, 3).col0 == pytest.approx(view.part(4, 8, 3, 3).col0)
+    assert subsampled_view(scene.view("eye"), 4).pixel == scene.view("eye").pixel
+
+
+@pytest.mark.parametrize(
+    ("part", "total", "low", "high"),
+    [(0, 100, 0.0, 0.0370), (5, 100, 0.0215, 0.1118), (50, 100, 0.4038, 0.5962), (0, 0, 0.0, 1.0), (10, 10, 0.7225, 1.0)],
+)
+def test_intervals_are_those_of_the_tables(part, total, low, high):
+    """Wilson's score interval without correction (R. Newcombe, Two-sided confidence intervals for the single proportion, 1998)."""
+    assert share_interval(part, total) == pytest.approx((low, high), abs=1e-4)
