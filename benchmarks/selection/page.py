@@ -16,6 +16,9 @@ from shadows.registry import selectable_algorithms
 
 Figures = dict[str, Any]
 
+DENSE = "dense wood"
+"""The family of views in which coverage counts."""
+
 START, END = "<!-- measured -->\n", "<!-- end of measured -->\n"
 """What the tables stand between, in the page."""
 
@@ -36,6 +39,7 @@ def page(views: Sequence[Figures], device: DeviceProfile) -> str:
     parts = [
         _what(views),
         *(_policies(each) for each in made),
+        _anytime(made),
         _parts(made[0]),
         _probes(made),
         _worst(made),
@@ -145,6 +149,21 @@ def _singles(made: Split) -> str:
         f"\nThe single best of each target, refitted with each part left out (most often {named}), meets\n"
         f"{format_percent(score.met)} with a mean relative regret of {score.regret:.2f}.\n"
     )
+
+
+def _anytime(made: Sequence[Split]) -> str:
+    """What more time is worth, with dense woods (of which a frame takes a second) and without."""
+    rows = []
+    for each in made:
+        told = [one for one in each.instances if one.tellable]
+        for budget, taken in [*each.by_budget.items(), ("no limit (`measure`)", each.taken["measure"])]:
+            for kind, its in (("all", told), ("without dense wood", [one for one in told if one.view["family"] != DENSE])):
+                if kind == "all" or len(its) < len(told):
+                    score = judged(its, taken, each.single)
+                    cells = [f"{100.0 * score.met:.1f} %", f"{score.regret:.2f}", f"{score.regret_p95:.2f}", _gap(score)]
+                    rows.append([each.name, budget, kind, *cells])
+    heads = ["split", "time of the probe", "views", "targets met", "mean relative regret", "p95", "gap closed"]
+    return "\nWhat more time is worth:\n\n" + markdown_table(heads, rows)
 
 
 def _parts(made: Split) -> str:

@@ -31,7 +31,10 @@ FOLDS = 3
 
 
 BUDGET_S = 3.0
-"""The time of a probe, seconds."""
+"""The time of a probe, seconds ..."""
+
+BUDGETS_S = (1.0, 3.0, 10.0, 30.0)
+"""... and others that are tried, beside that of ``measure``, which has no limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,8 @@ class Split:
     """How long the probe of an instance takes."""
     drawn: Mapping[tuple[str, str], int]
     """How many options it draws."""
+    by_budget: Mapping[str, Taken]
+    """What probes of other lengths take."""
 
 
 def held_out_views(views: Sequence[Figures]) -> list[list[Figures]]:
@@ -74,6 +79,7 @@ def split(name: str, parts: Sequence[tuple[Sequence[Figures], Sequence[Figures]]
     instances: list[GoalInstance] = []
     probe_s: dict[tuple[str, str], float] = {}
     drawn: dict[tuple[str, str], int] = {}
+    by_budget: dict[str, Taken] = {}
     for part, others in parts:
         for view in others:
             cases.setdefault(view["name"], cases_of(view))
@@ -91,9 +97,11 @@ def split(name: str, parts: Sequence[tuple[Sequence[Figures], Sequence[Figures]]
                 found, names = replayed(one, device, model, BUDGET_S)
                 taken["probe"][key] = taken["predict"][key] if found is None else names[_leader(found, one)]
                 probe_s[key], drawn[key] = (0.0, 0) if found is None else (found.seconds, len(found.drawn))
-                found, names = replayed(one, device, model, None)
-                taken["measure"][key] = taken["predict"][key] if found is None else names[_leader(found, one)]
-    return Split(name, instances, taken, single, bests, probe_s, drawn)
+                for policy, budget_s in [("measure", None), *((f"{each:g} s", each) for each in BUDGETS_S)]:
+                    found, names = replayed(one, device, model, budget_s)
+                    chosen = taken["predict"][key] if found is None else names[_leader(found, one)]
+                    (taken if policy == "measure" else by_budget).setdefault(policy, {})[key] = chosen
+    return Split(name, instances, taken, single, bests, probe_s, drawn, by_budget)
 
 
 def _rules_pick(one: GoalInstance) -> str:
