@@ -10,7 +10,7 @@ from typing import Any
 from selector.candidates import name_of
 from selector.cost.device_profile import DeviceProfile
 from selector.measure.probing import Proof
-from selector.measure.proving import MOST_DOUBLINGS, Pictures, SceneProver
+from selector.measure.proving import MOST_DOUBLINGS, ProbedPictures, SceneProver
 from selector.options import LightOptions
 from selector.planner.planner import planner_of
 from selector.predict import plan_options
@@ -34,7 +34,7 @@ def recorded(scene: Scene, view: MapView | PerspectiveView, name: str, light: st
     its = options.lights[light]
     effects = options.planner.plan({light: its.options[0].choice}, {}).runs
     start = time.perf_counter()
-    pictures = Pictures(scene, view, effects)
+    pictures = ProbedPictures(scene, view, effects)
     prover = SceneProver(pictures, options.planner, light, its)
     assert pictures.drawn
     start_s = time.perf_counter() - start

@@ -1,4 +1,4 @@
 """Expected time and error: this device's rates, calibration, and the model of errors.
 
-May import: no other room.
+May import: belief.
 """

@@ -1,4 +1,4 @@
-"""Measured against truth: trials of candidates, the policy `measure`, and the comparison behind the accuracy report.
+"""Measured against truth: probes of candidates, the policies `probe` and `measure`, and the comparison behind the accuracy report.
 
-May import: candidates, choices, formatting, planner, portfolio, ranking.
+May import: belief, candidates, choices, cost, expected_loss, formatting, options, planner, predict, ranking.
 """

@@ -12,7 +12,7 @@ from selector.cost.error_model import ErrorModel
 from selector.cost.usual_device import uncalibrated_model, usual_device
 from selector.formatting import format_duration, format_percent
 from selector.measure.probing import LightProbe, Proof, leader_of, probed
-from selector.measure.proving import Pictures, SceneProver
+from selector.measure.proving import ProbedPictures, SceneProver
 from selector.measure.view_truth import View
 from selector.options import Seen
 from selector.planner.planner import make_plan, planner_of
@@ -25,8 +25,7 @@ from terrain.scene import Scene
 DEFAULT_BUDGET_S = 3.0
 """The time of a probe, if nothing else is asked."""
 
-SURE_CHANCE = 0.005
-"""A chance as small as this is none."""
+UNCALIBRATED_PROBE = "this device is not calibrated, so times are those of a usual one, corrected by what was drawn"
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +60,7 @@ def probed_plan(
     descriptor = describe(scene, view, name, "points")
     model = errors if device is not None else uncalibrated_model(errors)
     options = plan_options(planner_of(descriptor, plan_request, overrides), device or usual_device(), model)
-    pictures = Pictures(scene, view, make_plan(descriptor, plan_request, overrides, choices={}).runs)
+    pictures = ProbedPictures(scene, view, make_plan(descriptor, plan_request, overrides, choices={}).runs)
     probes: dict[str, LightProbe] = {}
     for number, (light, its) in enumerate(options.lights.items()):
         if not its.numbers:
@@ -73,7 +72,9 @@ def probed_plan(
         probes[light] = probed(its, prover, options.max_error, options.shares_ms()[light], left_s, on_step)
         options = replace(options, lights={**options.lights, light: probes[light].options})
     policy: PolicyName = "measure" if budget_s is None else "probe"
-    plan = plan_of(options, policy, [reason for light, probe in probes.items() for reason in _reasons(options, light, probe)])
+    reasons = [] if device is not None else [Reasoned(name=f"policy {policy}", reason=UNCALIBRATED_PROBE)]
+    reasons += [reason for light, probe in probes.items() for reason in _reasons(options, light, probe)]
+    plan = plan_of(options, policy, reasons)
     return ProbedView(plan, {light: tuple(probe.options.seen.values()) for light, probe in probes.items()})
 
 

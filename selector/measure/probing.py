@@ -4,7 +4,7 @@ confirmed.
 Models know a scene from afar, and much of what they are off by is common to all that could be drawn of it. So one look at the
 scene corrects what is expected of every candidate (``selector.options``). Who leads is drawn; truth is asked for at more and more
 points until it is plain whether it keeps to the target; whoever leads then is drawn, and so on. When the leader is confirmed,
-others are tried as long as they promise to be better by more than ``LEAST_GAIN``. A probe ends when nothing does, or when its
+others are tried as long as they promise to be better by more than ``LEAST_SAVING``. A probe ends when nothing does, or when its
 time is spent: more time, better choices. ``measure`` is a probe without a limit of time.
 """
 
@@ -22,11 +22,11 @@ from selector.options import LightOptions, Seen
 from selector.ranking import relative_overshoot
 from shadows.truth.metrics import MOST_INTERIOR
 
-LEAST_GAIN = 0.03
+LEAST_SAVING = 0.03
 """Share of the leader's time (of its error, where it misses the target) by which a candidate must promise to be better before it is
 drawn ..."""
 
-LEAST_GAIN_UNLIMITED = 0.002
+LEAST_SAVING_UNLIMITED = 0.002
 """... and where there is no limit of time."""
 
 TIME_NOISE = 0.12
@@ -124,7 +124,7 @@ def probed(
     them are refused nothing is left to choose.
     """
     drawn_ms: dict[int, float] = {}
-    least_gain = LEAST_GAIN if budget_s is not None else LEAST_GAIN_UNLIMITED
+    least_gain = LEAST_SAVING if budget_s is not None else LEAST_SAVING_UNLIMITED
     leader_before = leader_of(prior, max_error, max_ms)
 
     def has_time(seconds: float) -> bool:

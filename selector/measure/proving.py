@@ -34,7 +34,7 @@ once, only ever adds to it.
 """
 
 
-class Pictures:
+class ProbedPictures:
     """What is drawn of a view, whatever the light: of a map the block that most of the view lies in."""
 
     def __init__(self, scene: Scene, view: View, effects: Collection[str]) -> None:
@@ -65,7 +65,7 @@ def probed_part(view: View) -> View:
 class SceneProver:
     """A ``selector.measure.probing.Prover`` of a light's options on a scene."""
 
-    def __init__(self, pictures: Pictures, planner: Planner, light: str, options: LightOptions) -> None:
+    def __init__(self, pictures: ProbedPictures, planner: Planner, light: str, options: LightOptions) -> None:
         self._start_s = time.perf_counter()
         self._pictures, self._planner, self._light, self._options = pictures, planner, light, options
         self._pixel_m = planner.descriptor.pixel_m

@@ -39,8 +39,15 @@ def test_json_is_a_plan_by_the_published_schema(gl, run):
 
 
 def test_an_uncalibrated_device_falls_back_to_the_rules_and_says_so(gl, run):
-    status, out, _ = run("select", "jacksboro")
+    status, out, _ = run("select", "jacksboro", "--policy", "predict")
     assert status == 0 and "not calibrated" in out and "chosen by the rules" in " ".join(out.split())
+
+
+def test_a_probe_is_the_default_and_says_what_it_drew_and_what_that_changed(gl, run):
+    status, out, _ = run("select", "jacksboro", "--size", "128x128")
+    said = " ".join(out.split())
+    assert status == 0 and "chosen by a probe" in said and "this device is not calibrated" in said
+    assert "candidates drawn and compared with truth" in said and "wrong of" in said and "expected)" in said
 
 
 @pytest.mark.parametrize("path", bundled_levels(), ids=lambda path: path.stem)
@@ -81,7 +88,9 @@ def test_options_change_the_plan_and_are_named_in_it(gl, run):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--policy", "guess"), ("--policy", "guess", "rules, predict, measure")),
+        (("--policy", "guess"), ("--policy", "guess", "rules, predict, probe, measure")),
+        (("--policy", "rules", "--budget", "3s"), ("--budget", "3s", "it is the time of a probe")),
+        (("--budget", "soon"), ("--budget", "soon", "a number and s, m, h or d")),
         (("--view", "ridge"), ("view", "ridge", "map")),
         (("--max-error", "-0.01"), ("max_error", "greater than or equal to 0")),
         (("--max-error", "2"), ("max_error", "2.0", "less than or equal to 1")),

@@ -89,7 +89,8 @@ def test_an_uncalibrated_device_says_so(client: Client, facts: dict):
 @pytest.mark.parametrize(
     ("query", "parameter", "said"),
     [
-        ("policy=measure", "policy", "measure takes minutes"),
+        ("policy=measure", "policy", "measure takes too long for a request"),
+        ("policy=probe", "policy", "probe takes too long for a request"),
         ("policy=guess", "policy", "rules, predict"),
         ("max_error=-0.01", "max_error", "greater than or equal to 0"),
         ("max_error=1.5", "max_error", "less than or equal to 1"),
