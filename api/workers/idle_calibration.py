@@ -22,6 +22,8 @@ CHECK_EVERY_S = 2.0
 
 CalibrationState = Literal["calibrated", "waiting", "running", "paused", "failed", "off", "none"]
 
+ProfileStamp = tuple[int, int, int]
+
 log = logging.getLogger("skugga")
 
 
@@ -70,11 +72,8 @@ class IdleCalibration:
         if self._version:
             return
         self._renderer, self._version, self._expected = renderer, version, self._enabled and bool(version)
-        if not version:
-            return
-        if self._device() is None:
-            self._want_one()
-        self._watching = asyncio.create_task(self._watch_file())
+        if version:
+            self._watching = asyncio.create_task(self._watch())
 
     async def close(self) -> None:
         """Look at the file no more."""
@@ -114,21 +113,29 @@ class IdleCalibration:
         self._expected, self._failed = False, True
         log.warning("%s could not be calibrated, so fixed rules go on choosing: %s", self._renderer, reason)
 
-    async def _watch_file(self) -> None:
-        """Take up what ``skugga calibrate`` writes beside a service that runs."""
-        path, seen = profile_path(self._renderer, self._version), None
+    async def _watch(self) -> None:
+        """Want a calibration where none is kept, and take up what ``skugga calibrate`` writes beside a service that runs."""
+        path = profile_path(self._renderer, self._version)
+        seen = await self._read(path, None)
+        if self._device() is None:
+            self._want_one()
         while True:
-            stamp = await asyncio.to_thread(_stamp, path)
-            if stamp is not None and stamp != seen:
-                seen = stamp
-                profile = await asyncio.to_thread(load_profile, self._renderer, self._version)
-                if profile is not None and digest_of(profile) != digest_of(self._device()):
-                    self._use(profile)
-                    log.info("the calibration of %s was read: plans go by it from now on", path)
             await asyncio.sleep(CHECK_EVERY_S)
+            seen = await self._read(path, seen)
+
+    async def _read(self, path: Path, seen: ProfileStamp | None) -> ProfileStamp | None:
+        """Use what a file holds if it has changed since it was ``seen``; returns how it is seen now."""
+        stamp = await asyncio.to_thread(_stamp, path)
+        if stamp is None or stamp == seen:
+            return seen
+        profile = await asyncio.to_thread(load_profile, self._renderer, self._version)
+        if profile is not None and digest_of(profile) != digest_of(self._device()):
+            self._use(profile)
+            log.info("the calibration of %s was read: plans go by it from now on", path)
+        return stamp
 
 
-def _stamp(path: Path) -> tuple[int, ...] | None:
+def _stamp(path: Path) -> ProfileStamp | None:
     try:
         found = path.stat()
     except OSError:

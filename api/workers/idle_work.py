@@ -19,20 +19,17 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from api.workers.process_life import end_with_parent, give_way
+from api.workers.process_life import JOIN_S, end_with_parent, give_way
 from terrain.errors import SkuggaError
 
-IDLE_S = 5.0
+QUIET_S = 5.0
 """How long nothing has to have waited or run before idle work begins, or goes on."""
 
-LOOK_EVERY_S = 0.25
+QUIET_CHECK_S = 0.25
 """How often it is looked whether that is so."""
 
 LONGEST_S = 900.0
 """How long a job may run, without its pauses, before it is given up."""
-
-JOIN_S = 5.0
-"""How long a killed process may take to be gone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +76,8 @@ class IdleWork:
         return None if self._process is None else self._process.pid
 
     def add(self, job: IdleJob) -> None:
-        """Let a job wait for idleness."""
+        """Let a job wait for idleness, which counts from now on at the earliest."""
+        self._disturbed_s = asyncio.get_running_loop().time()
         self._jobs.put_nowait(job)
 
     def disturb(self) -> None:
@@ -102,7 +100,7 @@ class IdleWork:
         while True:
             job = await self._jobs.get()
             while job.wanted() and not self._idle():
-                await asyncio.sleep(LOOK_EVERY_S)
+                await asyncio.sleep(QUIET_CHECK_S)
             if not job.wanted():
                 continue
             try:
@@ -115,7 +113,7 @@ class IdleWork:
     def _idle(self) -> bool:
         if self._busy():
             self.disturb()
-        return asyncio.get_running_loop().time() - self._disturbed_s >= IDLE_S
+        return asyncio.get_running_loop().time() - self._disturbed_s >= QUIET_S
 
     async def _result(self, job: IdleJob) -> Any:
         """What a job returns; its process is gone after it, whatever happens. Raises ``_FailedError``, ``_NotWantedError`` or
@@ -160,13 +158,13 @@ class IdleWork:
         """Wait for an answer, and stop and continue its process by what else is to be done."""
         left_s = LONGEST_S
         while not answer.done():
-            await asyncio.wait({answer}, timeout=LOOK_EVERY_S)
+            await asyncio.wait({answer}, timeout=QUIET_CHECK_S)
             if not job.wanted():
                 raise _NotWantedError
             if self._idle():
                 self._pause(False)
             if not self.paused:
-                left_s -= LOOK_EVERY_S
+                left_s -= QUIET_CHECK_S
                 if left_s <= 0.0:
                     raise _FailedError(f"it took longer than {LONGEST_S:g} s")
 

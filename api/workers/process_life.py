@@ -1,4 +1,4 @@
-"""What the service knows of its render processes from outside, and how they end with it. Where the system has no ``/proc`` and no
+"""What the service knows of its processes from outside, and how they end with it. Where the system has no ``/proc`` and no
 ``prctl`` (that is, not on Linux), nothing is known, and their pipe alone ends them.
 """
 
@@ -19,6 +19,9 @@ NICENESS = 2
 
 LOWEST = 19
 """The niceness of what is done while nothing is asked for."""
+
+JOIN_S = 5.0
+"""How long a killed process may take to be gone."""
 
 STOPPED_STATES = "Tt"
 """Of ``/proc/PID/stat``: stopped by a signal or by a tracer."""

@@ -13,12 +13,9 @@ from typing import Any, TypeVar
 from api.errors import WorkerCrashError
 from api.workers.jobs import Answer, Failure, Job, Ping, Preparing, Ready
 from api.workers.plan_basis import PlanBasis
-from api.workers.process_life import is_stopped
+from api.workers.process_life import JOIN_S, is_stopped
 from api.workers.render_worker import WorkerConfig
 from terrain.errors import GraphicsError, RenderTimeoutError
-
-JOIN_S = 5.0
-"""How long a killed process may take to be gone."""
 
 MOST_SAID = 300
 """Characters of a job in the log: descriptors are long."""

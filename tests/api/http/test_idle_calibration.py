@@ -1,20 +1,20 @@
 """A service without a calibration: it serves by rules, calibrates its device while it is idle, and goes by that from then on."""
 
 import functools
-import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-import httpx
 import pytest
 
 from api.http.app import create_app
+from api.http.server import log_config
 from api.settings import Settings
 from api.workers import idle_calibration, idle_work
 from api.workers.process_life import is_stopped
 from selector.cost.device_profile import load_profile, profile_path, save_profile
+from tests.api import conftest
 from tests.api.conftest import CORNER, ZOOM, Client, running
 from tests.api.workers import fake_calibrations, fake_workers
 from tests.api.workers.test_pool import SOON_S, alive
@@ -31,16 +31,16 @@ Serve = Callable[..., Client]
 def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
     """``serve(measure, **settings)`` is a client of a service, soon idle, with an empty cache."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(idle_work, "IDLE_S", 0.1)
-    monkeypatch.setattr(idle_work, "LOOK_EVERY_S", 0.01)
+    monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
+    monkeypatch.setattr(idle_work, "QUIET_CHECK_S", 0.01)
     monkeypatch.setattr(idle_calibration, "CHECK_EVERY_S", 0.02)
+    monkeypatch.setattr(conftest, "log_config", lambda settings: {**log_config(settings), "loggers": {}})  # heard from the start
+    caplog.set_level("INFO", "skugga")
     with ExitStack() as stack:
 
         def make(measure, target=fake_workers.planning, **settings) -> Client:
             asked = Settings(**{"workers": 1, "calibrate_when_idle": True, **settings})
             client = stack.enter_context(running(create_app(asked, [hills_level], target, measure)))
-            logging.getLogger("skugga").propagate = True
-            caplog.set_level("INFO", "skugga")
             until(lambda: client.service.pool.ready)
             return client
 
@@ -142,7 +142,6 @@ def test_a_folder_that_cannot_be_written(serve: Serve, tmp_path: Path, caplog: p
 )))  # fmt: skip
 def test_a_failure_is_told_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture, measure, reason: str):
     client = serve(functools.partial(measure, tmp_path / "begun"))
-    assert client.get(TILE).headers["cache-control"] == "public, max-age=60"
     until(lambda: state(client) == "failed")
     client.get(TILE)
     time.sleep(0.5)  # several times as long as it waits for idleness
@@ -178,21 +177,21 @@ def test_requests_stop_it_and_idleness_lets_it_go_on(serve: Serve, tmp_path: Pat
     client = serve(functools.partial(fake_calibrations.when_told, tmp_path / "go"))
     idle = client.service.pool.idle
     until(lambda: idle.pid is not None and not idle.paused)
-    monkeypatch.setattr(idle_work, "IDLE_S", SOON_S)
+    monkeypatch.setattr(idle_work, "QUIET_S", SOON_S)
     answer = client.get(TILE)
     assert (answer.status_code, idle.paused, state(client)) == (200, True, "paused")
     assert idle.pid is not None and is_stopped(idle.pid)
     (tmp_path / "go").touch()
     time.sleep(0.2)
     assert state(client) == "paused" and policy(client) == "rules"
-    monkeypatch.setattr(idle_work, "IDLE_S", 0.1)
+    monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
     until(lambda: state(client) == "calibrated")
 
 
 @pytest.mark.parametrize("paused", [False, True])
 def test_shutdown_leaves_no_process_and_no_file(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, paused: bool):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(idle_work, "IDLE_S", 0.05)
+    monkeypatch.setattr(idle_work, "QUIET_S", 0.05)
     measure = functools.partial(fake_calibrations.endless, tmp_path / "begun")
     app = create_app(Settings(workers=1, calibrate_when_idle=True), [hills_level], fake_workers.planning, measure)
     with running(app) as client:
@@ -200,13 +199,6 @@ def test_shutdown_leaves_no_process_and_no_file(hills_level: Path, tmp_path: Pat
         pid, left = client.service.pool.idle.pid, Path((tmp_path / "begun").read_text().strip())
         assert pid is not None and alive(pid) and left.exists()
         if paused:
-            monkeypatch.setattr(idle_work, "IDLE_S", SOON_S)
+            monkeypatch.setattr(idle_work, "QUIET_S", SOON_S)
             assert client.get(TILE).status_code == 200 and is_stopped(pid)
     assert not alive(pid) and not left.parent.exists()
-
-
-def test_the_real_one_says_what_predictions_go_by(client: httpx.Client):
-    """The service that all tests share must not calibrate, and says so."""
-    while (answer := client.get("/readyz")).status_code != 200:
-        time.sleep(0.05)
-    assert answer.json()["calibration"] == "off"

@@ -112,7 +112,7 @@ def test_a_process_that_is_started_later_goes_by_it():
 
 
 def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(idle_work, "IDLE_S", 0.05)
+    monkeypatch.setattr(idle_work, "QUIET_S", 0.05)
     failures: list[str] = []
 
     async def scenario(pool: Pool) -> None:
@@ -135,8 +135,8 @@ def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatc
 
 
 def test_nothing_is_begun_while_something_is_drawn(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(idle_work, "IDLE_S", 0.05)
-    monkeypatch.setattr(idle_work, "LOOK_EVERY_S", 0.01)
+    monkeypatch.setattr(idle_work, "QUIET_S", 0.05)
+    monkeypatch.setattr(idle_work, "QUIET_CHECK_S", 0.01)
     gate = PlanGate()
 
     async def scenario(pool: Pool) -> None:
