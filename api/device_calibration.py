@@ -48,7 +48,6 @@ def format_calibration(profile: DeviceProfile, path: Path) -> str:
         lines.append(f"Residuals of the fit, relative to the measured times: {'; '.join(fits)}.")
     lines += [
         f"Kept in {path}.",
-        "The policy predict uses it from now on, on this device and driver only. A running service uses it from the next "
-        "render process that it starts.",
+        "The policy predict uses it from now on, on this device and driver only. Running services take it up within seconds.",
     ]
     return "\n".join(textwrap.fill(line, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in lines)

@@ -57,6 +57,10 @@ class Settings(BaseSettings):
     queue_timeout_s: float = Field(default=20.0, gt=0, description="Seconds that a picture may wait for its turn to be drawn.")
     render_timeout_s: float = Field(default=60.0, gt=0, description="Seconds after which a picture is given up.")
     start_timeout_s: float = Field(default=300.0, gt=0, description="Seconds within which a render process has to start.")
+    calibrate_when_idle: bool = Field(
+        default=True,
+        description="Whether a device without a calibration is calibrated while nothing is drawn; else `skugga calibrate` does it.",
+    )
     recycle_blocks: int = Field(default=1000, ge=1, description="Blocks and snapshots after which a render process is replaced.")
     block_cache_bytes: int = Field(default=64 * 2**20, ge=0, description="Memory for blocks of tiles, encoded, and snapshots.")
     tile_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for tiles as they were sent (some 60 KiB each).")

@@ -56,8 +56,11 @@ def _no_gl_error_left() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Caches of the machine, its calibration among them, must not reach a test, nor a service that many tests share."""
+    """Caches of the machine, its calibration among them, must not reach a test, nor a service that many tests share, which must not
+    calibrate it either.
+    """
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SKUGGA_CALIBRATE_WHEN_IDLE", "false")
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
         yield
 
@@ -68,10 +71,11 @@ def _forked_render_processes(_own_cache: None) -> Iterator[None]:
     seconds, and has no OpenGL. Services in processes of their own, of ``tests/api/http/test_serve.py``, spawn them as users do.
     """
     with pytest.MonkeyPatch.context() as patch:
-        if module := sys.modules.get("api.workers.worker_process"):
-            forkserver = get_context("forkserver")
-            forkserver.set_forkserver_preload(["tests.api.workers.fake_workers", "api.workers.warm_up"])
-            patch.setattr(module, "get_context", lambda method: forkserver)
+        forkserver = get_context("forkserver")
+        forkserver.set_forkserver_preload(["tests.api.workers.fake_workers", "api.workers.warm_up"])
+        for name in ("api.workers.worker_process", "api.workers.idle_work"):
+            if module := sys.modules.get(name):
+                patch.setattr(module, "get_context", lambda method: forkserver)
         yield
 
 
@@ -79,7 +83,7 @@ def _forked_render_processes(_own_cache: None) -> Iterator[None]:
 def _clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Settings of the machine must not reach a test."""
     for name in os.environ:
-        if name.startswith("SKUGGA_") and name != "SKUGGA_EXPECT_RENDERER":
+        if name.startswith("SKUGGA_") and name not in ("SKUGGA_EXPECT_RENDERER", "SKUGGA_CALIBRATE_WHEN_IDLE"):
             monkeypatch.delenv(name)
 
 

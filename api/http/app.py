@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -38,21 +38,30 @@ from api.http.served_levels import ServedLevels
 from api.http.service import ClientGoneError, Service
 from api.http.watching import CLIENT_GONE, KEPT, Watched
 from api.settings import Settings
+from api.workers.idle_calibration import measured_profile
 from api.workers.pool import Pool
 from api.workers.render_worker import worker_main
 from api.workers.worker_process import WorkerTarget
+from selector.cost.device_profile import DeviceProfile
 from terrain.level.level_source import LevelSource
 
 
-def create_app(settings: Settings, levels: Sequence[Path | LevelSource], worker_target: WorkerTarget = worker_main) -> FastAPI:
-    """The application over some levels and those of the settings' folder; its render processes run from its start to its end.
+def create_app(
+    settings: Settings,
+    levels: Sequence[Path | LevelSource],
+    worker_target: WorkerTarget = worker_main,
+    measure: Callable[[], DeviceProfile] = measured_profile,
+) -> FastAPI:
+    """The application over some levels and those of the settings' folder; its render processes run from its start to its end. A
+    device without a calibration is given one by ``measure`` while nothing is drawn.
 
     Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served; of the folder's such are left out.
     """
     served = ServedLevels(
         levels, settings.remote_sources, settings.level_check_s, settings.level_timeout_s, settings.levels, settings.data_roots
     )
-    pool, tiles = Pool(settings, worker_target, lambda: served_pictures(served)), EncodedTiles(settings.tile_cache_bytes)
+    pool = Pool(settings, worker_target, lambda: served_pictures(served), measure)
+    tiles = EncodedTiles(settings.tile_cache_bytes)
     metrics = ServiceMetrics(pool, tiles)
     service = Service(settings, served, pool, tiles, NewSuns(settings.new_suns_per_minute), metrics)
 

@@ -99,9 +99,10 @@ class EncodedTiles:
         return tile
 
 
-def drawn_by(service: Service, level: str) -> tuple[str | None, ...]:
+def drawn_by(service: Service, name: str) -> tuple[str | None, ...]:
     """What the tiles of a level hang on besides their addresses."""
-    return service.levels.version_now(level), service.pool.renderer, service.pool.calibration
+    level = service.levels.unchanged(name)
+    return (None,) if level is None else (level.version, service.pool.renderer, service.pool.plan_version(level.key))
 
 
 def _address(scope: Scope) -> Address:

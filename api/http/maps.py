@@ -8,7 +8,7 @@ from fastapi import Request, Response
 
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
 from api.http.map_extents import MapBounds
-from api.http.moments import fresh_for, time_headers
+from api.http.moments import time_headers
 from api.http.parameters import TileQuery, check_pixels
 from api.http.served_levels import ServedLevel
 from api.http.service import Service
@@ -53,15 +53,15 @@ async def map_answer(request: Request, service: Service, level: ServedLevel, ask
         request=asked.shown.picture if hangs_on_light else PictureRequest(),
     )  # fmt: skip
     tag_parts = (level.version, level.name, "map", job.model_dump(exclude={"level"}, exclude_none=True))
-    fresh_s = fresh_for(request, OWN_SUN_S if hangs_on_light and asked.shown.picture.sun is None else GIVEN_SUN_S)
+    fresh_s = service.fresh_s(request, OWN_SUN_S if hangs_on_light and asked.shown.picture.sun is None else GIVEN_SUN_S)
     of_time = time_headers(request) if hangs_on_light else {}
-    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *tag_parts), fresh_s) | of_time
+    headers = cache_headers(tag_of(service.pool.renderer, service.pool.plan_version(level.key), *tag_parts), fresh_s) | of_time
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     kept = service.pool.finished(job) is not None
     drawn = await service.done(request, job)
     assert isinstance(drawn, Snapshot)
-    headers = cache_headers(tag_of(drawn.renderer, drawn.calibration, *tag_parts), fresh_s)
+    headers = cache_headers(tag_of(drawn.renderer, drawn.plan_version, *tag_parts), fresh_s)
     headers |= of_time | drawn_headers(drawn, "map", kept, drawn.encode_ms)
     return Response(drawn.body, headers=headers, media_type=MAP_MEDIA_TYPES[asked.format])
 

@@ -28,12 +28,20 @@ async def healthz(service: TheService) -> JSONResponse:
 
 @router.get("/readyz", summary="Whether the service can draw", responses=problem_docs(503), response_model=dict[str, Any])
 async def readyz(service: TheService) -> JSONResponse:
-    """503 until a render process has warmed up, and while none runs."""
+    """503 until a render process has warmed up, and while none runs. `calibration` says whether plans go by predictions:
+    `calibrated`; `waiting` (for an idle service), `running`, `paused`; `failed`, `off`, `none` (no device to calibrate).
+    """
     pool = service.pool
     if not pool.ready:
         raise NotReadyError("No render process is ready; the service's log says why if this lasts.")
     return JSONResponse(
-        {"status": "ready", "renderer": pool.renderer, "workers": len(pool.pids), "queued": pool.queued},
+        {
+            "status": "ready",
+            "renderer": pool.renderer,
+            "workers": len(pool.pids),
+            "queued": pool.queued,
+            "calibration": pool.calibrating.state,
+        },
         headers=_UNCACHED,
     )
 

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
 from api.http.documented import LevelPath, file_docs, for_example
-from api.http.moments import fresh_for, time_headers
+from api.http.moments import time_headers
 from api.http.numbers import PLAIN_DECIMAL
 from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, ViewQuery, allow_only, check_pixels, parse_size, picture_query
 from api.http.routes_tiles import JPEG, PICTURE_DOCS
@@ -73,14 +73,14 @@ async def snapshot(
     )  # fmt: skip
 
     tag_parts = (served.version, level, "snapshot", job.model_dump(exclude={"level"}, exclude_none=True))
-    fresh_s = fresh_for(request, OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S)
+    fresh_s = service.fresh_s(request, OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S)
     of_time = time_headers(request)
-    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *tag_parts), fresh_s) | of_time
+    headers = cache_headers(tag_of(service.pool.renderer, service.pool.plan_version(served.key), *tag_parts), fresh_s) | of_time
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     kept = service.pool.finished(job) is not None
     drawn = await service.done(request, job)
     assert isinstance(drawn, Snapshot)
-    headers = cache_headers(tag_of(drawn.renderer, drawn.calibration, *tag_parts), fresh_s) | of_time
+    headers = cache_headers(tag_of(drawn.renderer, drawn.plan_version, *tag_parts), fresh_s) | of_time
     headers |= drawn_headers(drawn, "snapshot", kept, drawn.encode_ms)
     return Response(drawn.body, headers=headers, media_type=MEDIA_TYPES[format])

@@ -23,7 +23,7 @@ from api.http.documented import (
 )
 from api.http.encoded_tiles import EncodedTile
 from api.http.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
-from api.http.moments import fresh_for, time_headers
+from api.http.moments import time_headers
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
 from api.http.service import Service, TheService
 from api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
@@ -117,10 +117,11 @@ async def tile_answer(
     if empty and service.settings.empty_tile == "404":
         raise NotServedError("x", f"{name} has no data in tile {zxy[1]}, {zxy[2]} of zoom {zxy[0]}.")
 
-    fresh_s = fresh_for(request, OWN_SUN_S if wanted.sun_hours is None and wanted.picture.sun is None else GIVEN_SUN_S)
+    fresh_s = service.fresh_s(request, OWN_SUN_S if wanted.sun_hours is None and wanted.picture.sun is None else GIVEN_SUN_S)
     tag_parts = (level.version, name, tms, zxy, scale, format, wanted.layer, wanted.query())
     of_time = time_headers(request)
-    headers = cache_headers(tag_of(service.pool.renderer, service.pool.calibration, *tag_parts), fresh_s) | of_time
+    by = service.pool.renderer, service.pool.plan_version(level.key)
+    headers = cache_headers(tag_of(*by, *tag_parts), fresh_s) | of_time
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if empty:
@@ -137,7 +138,7 @@ async def tile_answer(
     tile = service.tiles.get(headers["ETag"])
     if tile is not None:
         tile = replace(tile, headers=tile.headers | headers)
-        service.tiles.put(request, tile, name, (level.version, service.pool.renderer, service.pool.calibration))
+        service.tiles.put(request, tile, name, (level.version, *by))
         return tile.answer(request)
     (block_x, block_y), place = place_in_block(zxy[1] * scale, zxy[2] * scale, scale)
     where: dict[str, Any] = {
@@ -153,11 +154,12 @@ async def tile_answer(
     kept = service.pool.finished(job) is not None
     block = await service.done(request, job)
     assert isinstance(block, BlockTiles)
-    tag = tag_of(block.renderer, block.calibration, *tag_parts)
+    by = block.renderer, block.plan_version
+    tag = tag_of(*by, *tag_parts)
     made, again = (
         cache_headers(tag, fresh_s) | of_time | drawn_headers(block, "block", kept, block.encode_ms)
         for kept in (kept or not block.drawn, True)
     )  # fmt: skip
     tile = EncodedTile(block.tiles[place], again, MAP_MEDIA_TYPES[format])
-    service.tiles.put(request, tile, name, (level.version, block.renderer, block.calibration))
+    service.tiles.put(request, tile, name, (level.version, *by))
     return Response(tile.body, headers=made, media_type=tile.media_type)

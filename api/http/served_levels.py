@@ -8,7 +8,7 @@ import os
 import threading
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +67,7 @@ class ServedLevel:
         """The level's name in addresses."""
         return self.loaded.name
 
-    @property
+    @cached_property
     def key(self) -> LevelKey:
         """What render processes are told."""
         return LevelKey(**{**self.origin.model_dump(), "path": self.loaded.path, "version": self.version})
@@ -211,11 +211,10 @@ class ServedLevels:
         """A level as it is now, however long that takes. Raises as ``current`` does."""
         return self._check(name).now()
 
-    def version_now(self, name: str) -> str | None:
-        """The version of a level of which it is known that its files have not changed lately; no file is looked at."""
+    def unchanged(self, name: str) -> ServedLevel | None:
+        """A level of which it is known that its files have not changed lately; no file is looked at."""
         check = self._checks.get(name)
-        level = None if check is None else check.known()
-        return None if level is None else level.version
+        return None if check is None else check.known()
 
     def known(self) -> list[ServedLevel]:
         """All levels as they were last read: no file is looked at."""

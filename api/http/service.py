@@ -11,8 +11,10 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends, Request
 
 from api.errors import NotServedError
+from api.http.answers import FACTS_S
 from api.http.encoded_tiles import EncodedTiles
 from api.http.metrics import ServiceMetrics
+from api.http.moments import fresh_for
 from api.http.new_suns import NewSuns
 from api.http.served_levels import ServedLevel, ServedLevels
 from api.settings import Settings
@@ -35,6 +37,12 @@ class Service:
     tiles: EncodedTiles
     new_suns: NewSuns
     metrics: ServiceMetrics
+
+    def fresh_s(self, request: Request, otherwise_s: int) -> int:
+        """How many seconds a picture is fresh: a minute while the device is to be calibrated, so that clients do not join pictures
+        of other plans with it for long.
+        """
+        return fresh_for(request, min(otherwise_s, FACTS_S) if self.pool.calibrating.expected else otherwise_s)
 
     async def level(self, name: str) -> ServedLevel:
         """A level as it is now. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""

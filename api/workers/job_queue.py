@@ -20,7 +20,7 @@ LOADED_WAIT_S = 0.5
 class PendingJob:
     """A job on its way: when it came and began (the event loop's clock), how many wait for it, and how often it was begun.
 
-    ``expires`` ends its waiting.
+    ``expires`` ends its waiting; ``plan_version`` is that of the plans that it began by.
     """
 
     job: Job
@@ -30,6 +30,7 @@ class PendingJob:
     began_s: float | None = None
     waiting: int = 0
     begun: int = 0
+    plan_version: str = ""
 
 
 @dataclass

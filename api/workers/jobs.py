@@ -237,10 +237,11 @@ class Preparing:
 
 @dataclass(frozen=True)
 class Ready:
-    """A render process has warmed up: what it draws with, and the calibration that its plans go by while it lives."""
+    """A render process has warmed up: what it draws with, by OpenGL's names, and the calibration that its plans go by."""
 
     renderer: str
     device: DeviceProfile | None = None
+    version: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +249,7 @@ class BlockTiles:
     """The tiles of a block, by row and column in it, in one layer and format; ``drawn`` for this answer, or kept.
 
     ``headline`` are the plan's algorithms as in overrides; ``passes`` are names with milliseconds; the caster reach is in metres,
-    ``None`` where each of many suns had its own; ``renderer`` drew it, by plans of a ``calibration`` (its digest).
+    ``None`` where each of many suns had its own; ``renderer`` drew it, by plans of a version (``PlanBasis``).
     """
 
     tiles: dict[tuple[int, int], bytes]
@@ -259,7 +260,7 @@ class BlockTiles:
     reach_needed_m: float | None
     reach_clipped: bool
     renderer: str
-    calibration: str = ""
+    plan_version: str = ""
     drawn: bool = True
 
     @property
@@ -280,7 +281,7 @@ class Snapshot:
     reach_needed_m: float | None
     reach_clipped: bool
     renderer: str
-    calibration: str = ""
+    plan_version: str = ""
 
     @property
     def nbytes(self) -> int:

@@ -11,11 +11,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from api.device_calibration import digest_of
 from api.errors import LaterError, SetAsideError, WorkerCrashError
 from api.settings import Settings, cores
+from api.workers.idle_calibration import IdleCalibration, measured_profile
+from api.workers.idle_work import IdleWork
 from api.workers.job_queue import JobQueue, PendingJob
-from api.workers.jobs import Answer, BlockTiles, DescribedPlanJob, Failure, Job, Ping, Result, ServedPictures, Snapshot
+from api.workers.jobs import Answer, BlockTiles, DescribedPlanJob, Failure, Job, LevelKey, Ping, Result, ServedPictures, Snapshot
+from api.workers.plan_basis import PlanBasis
 from api.workers.process_life import is_stopped
 from api.workers.render_worker import WorkerConfig, worker_main
 from api.workers.set_aside import SetAside
@@ -64,7 +66,10 @@ class Pool:
     """Runs jobs in render processes. To be used from one event loop.
 
     Equal jobs at the same time are one job. Finished blocks and snapshots are kept within ``block_cache_bytes``. A process that
-    is started prepares for what is ``served``.
+    is started prepares for what is ``served``. A device without a calibration is given one by ``measure`` while nothing is drawn.
+
+    ``basis`` is what plans go by. Another one may take its place at any time: what is begun after that goes by it, in all
+    processes, and of what is kept only pictures of its version are found.
     """
 
     def __init__(
@@ -72,6 +77,7 @@ class Pool:
         settings: Settings,
         target: WorkerTarget = worker_main,
         served: Callable[[], tuple[ServedPictures, ...]] = tuple,
+        measure: Callable[[], DeviceProfile] = measured_profile,
     ) -> None:
         self._settings = settings
         self._target, self._served = target, served
@@ -93,8 +99,11 @@ class Pool:
         self._start_error: SkuggaError | None = None
         self._closed = False
         self._settled = asyncio.Event()
+        self._starting = 0
         self.renderer: str | None = None
-        self.device: DeviceProfile | None = None
+        self.basis: PlanBasis | None = None
+        self.idle = IdleWork(lambda: bool(self.queued or self.running or self._starting), self._config.gl_threads)
+        self.calibrating = IdleCalibration(settings.calibrate_when_idle, self.idle, self._device, self._use, measure)
         self.pids: set[int] = set()
         self.tally = PoolCounters()
         self.on_drawn: Callable[[BlockTiles | Snapshot], None] = lambda drawn: None
@@ -109,10 +118,18 @@ class Pool:
         """Whether everything that keeps render processes running still does."""
         return self._closed or not any(slot.done() for slot in self._slots)
 
-    @property
-    def calibration(self) -> str:
-        """The digest of the calibration that new plans go by."""
-        return digest_of(self.device)
+    def plan_version(self, level: LevelKey | None) -> str:
+        """The version of a level's plans that are made now; ``None``: of plans of what clients describe."""
+        return "" if self.basis is None else self.basis.version_of(level)
+
+    def _version_of(self, job: Job) -> str:
+        return self.plan_version(None if isinstance(job, DescribedPlanJob) else job.level)
+
+    def _device(self) -> DeviceProfile | None:
+        return None if self.basis is None else self.basis.device
+
+    def _use(self, device: DeviceProfile) -> None:
+        self.basis = replace(self.basis or PlanBasis(), device=device)
 
     async def settled(self) -> None:
         """Wait until it is known what the first process draws with, or that it cannot be started."""
@@ -134,12 +151,13 @@ class Pool:
         return self._finished.nbytes
 
     def finished(self, job: Job) -> BlockTiles | Snapshot | None:
-        """A block or a snapshot that is kept."""
-        drawn = self._finished.get(job)
+        """A block or a snapshot that is kept, of the version that plans have now."""
+        drawn = self._finished.get(job, self._version_of(job))
         return None if isinstance(drawn, Missing) else drawn
 
     def open(self) -> None:
         """Start the processes; returns at once."""
+        self.idle.open()
         self._slots = [asyncio.create_task(self._slot(first=number == 0)) for number in range(self._settings.workers)]
 
     async def close(self) -> None:
@@ -148,7 +166,7 @@ class Pool:
         self._settled.set()
         for slot in self._slots:
             slot.cancel()
-        await asyncio.gather(*self._slots, return_exceptions=True)
+        await asyncio.gather(self.calibrating.close(), self.idle.close(), *self._slots, return_exceptions=True)
         self._fail_all(BusyError("The service is shutting down."), list(self._flights.values()))
         self._threads.shutdown(wait=True)
 
@@ -158,29 +176,40 @@ class Pool:
         Raises ``LaterError`` where the queue is full or its turn does not come in time, ``SetAsideError`` where such jobs keep
         failing, ``GraphicsError`` where no process can be started, ``RenderTimeoutError``, ``WorkerCrashError``, and what the work
         itself raises. A job that nobody waits for any more is dropped unless it has begun.
+
+        The answer goes by plans of the version that there was when it was asked for, or by newer ones.
         """
         kept = self.finished(job)
         if kept is not None:
             return kept
+        version = self._version_of(job)
         flight = self._flights.get(job) or self._enqueue(job)
+        answer = await self._landed(flight)
+        if flight.plan_version not in (version, self._version_of(job)):  # it had begun before, by older plans
+            answer = await self._landed(self._flights.get(job) or self._enqueue(job))
+        if isinstance(answer, Failure):
+            raise answer.error()
+        return answer
+
+    async def _landed(self, flight: PendingJob) -> Answer:
+        """How a job ends, for whom waits for it."""
+        job = flight.job
         flight.waiting += 1
         try:
-            answer = await asyncio.shield(flight.answer)
+            return await asyncio.shield(flight.answer)
         finally:
             flight.waiting -= 1
             if not flight.waiting and self._queue.waiting.get(job) is flight:
                 self._forget(flight)
                 flight.answer.cancel()
                 self.tally.abandoned += 1
-        if isinstance(answer, Failure):
-            raise answer.error()
-        return answer
 
     def _enqueue(self, job: Job) -> PendingJob:
         if self._closed:
             raise BusyError("The service is shutting down.")
         if self._start_error is not None and not self.pids:
             raise GraphicsError(str(self._start_error))
+        self.idle.disturb()
         loop = asyncio.get_running_loop()
         left_s = self._set_aside.seconds_left(job)
         if left_s > 0.0:
@@ -235,7 +264,7 @@ class Pool:
         """Whether a process was started, and ended in good order or at least after having taken a job."""
         served = await asyncio.get_running_loop().run_in_executor(self._threads, self._served)
         # OpenGL that was there is waited for: a service does not turn into one that draws less.
-        config = replace(self._config, served=served, needs_opengl=self.renderer not in (None, NO_OPENGL))
+        config = replace(self._config, served=served, needs_opengl=self.renderer not in (None, NO_OPENGL), basis=self.basis)
         worker = WorkerProcess(self._target, config, self._threads, self._news.set)
         try:
             return await self._start_and_serve(worker)
@@ -246,19 +275,22 @@ class Pool:
     async def _start_and_serve(self, worker: WorkerProcess) -> bool:
         try:
             began = asyncio.get_running_loop().time()
+            self._starting += 1
             ready = await worker.start(self._settings.start_timeout_s)
-            self.renderer, self.device = ready.renderer, ready.device
+            self.renderer, self.basis = ready.renderer, self.basis or worker.basis
         except SkuggaError as error:
             log.error("a render process could not be started: %s", error)
             self._could_not_start(error)
             return False
         finally:
+            self._starting -= 1
             self._settled.set()
         took = asyncio.get_running_loop().time() - began
         self._start_error = None
         self.tally.started += 1
         self.pids.add(worker.pid or 0)
         log.info("render process %s ready after %.1f s: %s", worker.pid, took, self.renderer)
+        self.calibrating.begin(ready.renderer, ready.version)
         return await self._serve(worker)
 
     def _could_not_start(self, error: SkuggaError) -> None:
@@ -273,8 +305,9 @@ class Pool:
             flight = await self._next(worker)
             if flight is None:
                 return count > 0
+            flight.plan_version = self._version_of(flight.job)
             try:
-                answer = await worker.ask(flight.job, self._settings.render_timeout_s)
+                answer = await worker.ask(flight.job, self._settings.render_timeout_s, self.basis)
             except WorkerCrashError as error:
                 log.error("render process %s is replaced: %s", worker.pid, error)
                 self._try_again(flight, error)
@@ -354,7 +387,7 @@ class Pool:
         else:
             self.tally.answered += 1
             if isinstance(answer, BlockTiles | Snapshot):
-                self._finished.put(flight.job, value=answer)
+                self._finished.put(flight.job, answer.plan_version, value=answer)
                 self.on_drawn(answer)
             flight.answer.set_result(answer)
 

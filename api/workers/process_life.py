@@ -1,4 +1,4 @@
-"""What the service knows of its render processes from outside, and how they end with it. Where the system has no ``/proc`` and no
+"""What the service knows of its processes from outside, and how they end with it. Where the system has no ``/proc`` and no
 ``prctl`` (that is, not on Linux), nothing is known, and their pipe alone ends them.
 """
 
@@ -17,6 +17,12 @@ PR_SET_PDEATHSIG = 1
 NICENESS = 2
 """How far render processes stand back behind the service, which answers from its caches while they draw: see nice(2)."""
 
+LOWEST = 19
+"""The niceness of what is done while nothing is asked for."""
+
+JOIN_S = 5.0
+"""How long a killed process may take to be gone."""
+
 STOPPED_STATES = "Tt"
 """Of ``/proc/PID/stat``: stopped by a signal or by a tracer."""
 
@@ -33,6 +39,14 @@ def stand_back() -> None:
     """Let the service go before this process where both want the same core."""
     with suppress(OSError, AttributeError):
         os.nice(NICENESS)
+
+
+def give_way() -> None:
+    """Let all others go before this process: for cores, and where memory runs out, which then ends this one."""
+    with suppress(OSError, AttributeError):
+        os.nice(LOWEST)
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
 
 
 def is_stopped(pid: int) -> bool:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from morecantile import tms as matrix_sets
 
-from api.device_calibration import calibration, digest_of
+from api.device_calibration import calibration
 from api.errors import TooCostlyError
 from api.layers import LAYERS, encode_picture, picture_layer
 from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
@@ -50,6 +50,7 @@ from api.workers.jobs import (
     Tiles,
 )
 from api.workers.map_jobs import HEIGHTS, drawn_map, heights_picture
+from api.workers.plan_basis import PlanBasis
 from api.workers.point_jobs import point_answer, points_answer
 from api.workers.process_life import end_with_parent, resident_bytes, stand_back
 from selector.choices import StandaloneRequest
@@ -65,6 +66,7 @@ from terrain.errors import Fault, GraphicsError, NoOpenGLError, RenderError, Sku
 from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
+from terrain.gl import device as gl
 from terrain.level.level import SUN, Shadows, load_level
 from terrain.scene import Scene, build_scene
 
@@ -96,7 +98,7 @@ log = logging.getLogger("skugga.worker")
 class WorkerConfig:
     """What a render process is told at its start. ``gl_threads`` are the threads of a software rasteriser; it prepares for what is
     ``served``, and refuses pictures that are expected to take more than ``most_ms``. It does not start without OpenGL where it
-    ``needs_opengl``.
+    ``needs_opengl``. Without a ``basis`` its plans go by the calibration in the user's cache, until it is told another one.
     """
 
     gl_threads: int
@@ -104,6 +106,7 @@ class WorkerConfig:
     needs_opengl: bool = False
     served: tuple[ServedPictures, ...] = ()
     most_ms: float | None = None
+    basis: PlanBasis | None = None
 
 
 class SceneCache:
@@ -155,21 +158,24 @@ DrawnAndFacts = tuple[PicturedBlock, dict[str, Any]]
 """A block and what is said of what drew it."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class WorkerState:
-    """What a render process keeps while it lives: its renderer, the device's calibration, scenes, plans of tiles, blocks."""
+    """What a render process keeps while it lives: its renderer, what plans go by, scenes, plans of tiles, blocks.
+
+    Plans and blocks are kept by the version of their plans: those of another one are not found.
+    """
 
     renderer: str
-    device: DeviceProfile | None = None
+    basis: PlanBasis = field(default_factory=PlanBasis)
     most_ms: float | None = None
     scenes: SceneCache = field(default_factory=SceneCache)
     plans: TilePlanCache = field(default_factory=TilePlanCache)
     blocks: Cache[DrawnAndFacts] = field(default_factory=lambda: Cache("api.workers.blocks", "process", BLOCKS_BYTES))
 
     @property
-    def calibration(self) -> str:
-        """The digest of the calibration."""
-        return digest_of(self.device)
+    def device(self) -> DeviceProfile | None:
+        """The device's calibration."""
+        return self.basis.device
 
 
 def block_view(job: BlockJob | SunHoursJob) -> MapView:
@@ -219,7 +225,9 @@ def run_job(job: Job, state: WorkerState) -> Result:
             frame = render_frame(scene, view, plan)
             start = clock.perf_counter()
             body = encode_picture(picture_layer(frame.under(job.light), job.layer), f".{job.format}")
-            return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame.plan, frame, state))
+            return Snapshot(
+                body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame.plan, frame, state, job.level)
+            )
 
 
 def _plan_of_facts(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:
@@ -242,14 +250,15 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
     if encoding is not None:
         return _pictured_tiles(job, HEIGHTS, state, lambda: heights_picture(scene, block_view(job), encoding))
     points = LAYERS[job.layer].of_points
-    key = job.level, job.matrix_set, job.zoom, job.block_x, job.block_y, job.request, points
+    version = state.basis.version_of(job.level)
+    key = job.level, version, job.matrix_set, job.zoom, job.block_x, job.block_y, job.request, points
     kept = state.blocks.get(*key)
     if isinstance(kept, Missing):
         plan = plan_of_tiles(job, scene, state)
         _check_cost(plan, f"a block of {BLOCK_PX}x{BLOCK_PX}", state)
         shown = render_frame(scene, block_view(job), plan) if points else shown_map(scene, block_view(job), plan)
         block = PicturedBlock(shown.color, shown.opacity, shown.there, shown.visibility if isinstance(shown, Frame) else NOT_ASKED)
-        kept = block, _facts(plan, shown, state)
+        kept = block, _facts(plan, shown, state, job.level)
         state.blocks.put(*key, value=kept)
         drawn = True
     else:
@@ -270,7 +279,7 @@ def _pictured_tiles(job: BlockJob | SunHoursJob, name: str, state: WorkerState, 
     return BlockTiles(
         tiles=tiles, encode_ms=(clock.perf_counter() - found) * 1000.0, headline=name,
         passes=((name, (found - start) * 1000.0),), reach_used_m=None, reach_needed_m=None, reach_clipped=False,
-        renderer=state.renderer, calibration=state.calibration,
+        renderer=state.renderer, plan_version=state.basis.version_of(job.level),
     )  # fmt: skip
 
 
@@ -278,7 +287,7 @@ def _map(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
     overrides = job.request.overrides.for_selector()
 
     def plan_of(scale: Hashable, part: MapView) -> Plan:
-        key = job.level, job.crs, scale, job.request
+        key = job.level, state.basis.version_of(job.level), job.crs, scale, job.request
         return state.plans.get(key, lambda: plan_of_view(scene, part, "map", overrides, device=state.device))
 
     drawn = drawn_map(scene, job, plan_of)
@@ -287,7 +296,8 @@ def _map(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
         body=drawn.body, encode_ms=drawn.encode_ms, headline=drawn.headline,
         passes=tuple((record.name, record.ms) for record in drawn.passes),
         reach_used_m=None if reach is None else reach.used_m, reach_needed_m=None if reach is None else reach.needed_m,
-        reach_clipped=reach is not None and bool(reach.clipped), renderer=state.renderer, calibration=state.calibration,
+        reach_clipped=reach is not None and bool(reach.clipped), renderer=state.renderer,
+        plan_version=state.basis.version_of(job.level),
     )  # fmt: skip
 
 
@@ -303,14 +313,14 @@ def plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
     def make() -> Plan:
         return plan_of_view(scene, tiles_view(scene, tiles), "map", job.request.overrides.for_selector(), device=state.device)
 
-    return state.plans.get((job.level, tiles, job.request), make)
+    return state.plans.get((job.level, state.basis.version_of(job.level), tiles, job.request), make)
 
 
-def _facts(plan: Plan, frame: Frame | ShownMap, state: WorkerState) -> dict[str, Any]:
+def _facts(plan: Plan, frame: Frame | ShownMap, state: WorkerState, level: LevelKey) -> dict[str, Any]:
     """What a picture says of what drew it."""
     return {
         "headline": plan.headline, "passes": tuple((record.name, record.ms) for record in frame.passes),
-        "renderer": state.renderer, "calibration": state.calibration,
+        "renderer": state.renderer, "plan_version": state.basis.version_of(level),
         "reach_used_m": frame.reach.used_m, "reach_needed_m": frame.reach.needed_m, "reach_clipped": bool(frame.reach.clipped),
     }  # fmt: skip
 
@@ -334,15 +344,18 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
         if reason := why_not_kept():
             say(reason)
         renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
-        state = WorkerState(renderer, calibration(), config.most_ms)
+        state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.most_ms)
         prepare(config.served, state, say)
-        pipe.send(Ready(state.renderer, state.device))
+        pipe.send(Ready(state.renderer, state.device, gl.renderer_and_version()[1]))
         if not pipe.poll(IDLE_S):
             read_the_suns_library()
         while True:
             job = pipe.recv()
             if isinstance(job, Ping):
                 pipe.send(Pong())
+                continue
+            if isinstance(job, PlanBasis):
+                state.basis = job
                 continue
             answer = _answer(job, state)
             pipe.send(answer)

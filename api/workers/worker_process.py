@@ -12,12 +12,10 @@ from typing import Any, TypeVar
 
 from api.errors import WorkerCrashError
 from api.workers.jobs import Answer, Failure, Job, Ping, Preparing, Ready
-from api.workers.process_life import is_stopped
+from api.workers.plan_basis import PlanBasis
+from api.workers.process_life import JOIN_S, is_stopped
 from api.workers.render_worker import WorkerConfig
 from terrain.errors import GraphicsError, RenderTimeoutError
-
-JOIN_S = 5.0
-"""How long a killed process may take to be gone."""
 
 MOST_SAID = 300
 """Characters of a job in the log: descriptors are long."""
@@ -35,7 +33,7 @@ WorkerTarget = Callable[[Connection, WorkerConfig], None]
 class WorkerProcess:
     """A process that runs ``target(pipe, config)``. ``start`` it, ``ask`` it one job at a time, then ``end`` it.
 
-    ``on_death`` is called in the event loop when it ends by itself.
+    ``on_death`` is called in the event loop when it ends by itself. ``basis`` is what its plans go by.
     """
 
     def __init__(self, target: WorkerTarget, config: WorkerConfig, threads: Executor, on_death: Callable[[], None]) -> None:
@@ -45,6 +43,7 @@ class WorkerProcess:
         self._threads, self._on_death = threads, on_death
         self._in_thread: asyncio.Future[Any] | None = None
         self._watched: int | None = None
+        self.basis = config.basis
         self.dead = False
 
     @property
@@ -73,12 +72,18 @@ class WorkerProcess:
             raise GraphicsError("a render process ended while it warmed up") from None
         if isinstance(answer, Failure):
             raise answer.error()
+        self.basis = self.basis or PlanBasis(answer.device)
         return answer
 
-    async def ask(self, job: Job | Ping, timeout_s: float) -> Answer:
-        """The answer to a job. After a ``WorkerCrashError`` or ``RenderTimeoutError`` the process is of no more use."""
+    async def ask(self, job: Job | Ping, timeout_s: float, basis: PlanBasis | None = None) -> Answer:
+        """The answer to a job, by plans of a ``basis`` (``None``: as before). After a ``WorkerCrashError`` or
+        ``RenderTimeoutError`` the process is of no more use.
+        """
+        told, self.basis = self.basis, basis or self.basis
 
         def send_and_receive() -> Answer:
+            if self.basis is not told:
+                self._pipe.send(self.basis)
             self._pipe.send(job)  # not in the event loop: a process that does not read lets it wait where the job is long
             return self._pipe.recv()
 

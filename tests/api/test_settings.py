@@ -20,6 +20,12 @@ def test_a_render_process_per_core_within_reason(monkeypatch: pytest.MonkeyPatch
     assert load_settings().workers == workers
 
 
+def test_a_device_is_calibrated_unasked(monkeypatch: pytest.MonkeyPatch):
+    assert not load_settings().calibrate_when_idle, "services of tests must not"
+    monkeypatch.delenv("SKUGGA_CALIBRATE_WHEN_IDLE")
+    assert load_settings().calibrate_when_idle
+
+
 def test_environment_and_arguments(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("SKUGGA_WORKERS", "3")
     monkeypatch.setenv("SKUGGA_PORT", "9000")

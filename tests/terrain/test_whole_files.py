@@ -126,6 +126,7 @@ TEMPORARY = {
     "api/report/page/pictures.py": "into memory",
     "api/report/comparison.py": "inside of what replaces a file",
     "api/workers/block_tiles.py": "into memory",
+    "api/workers/process_life.py": "what the system is told of this process",
     "selector/cost/calibration_scenes.py": "levels of its own in a temporary folder",
     "shadows/truth/cache.py": "inside of what replaces a file",
     "terrain/whole_files.py": "the place where files are written",

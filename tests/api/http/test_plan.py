@@ -17,6 +17,7 @@ from api.device_calibration import digest_of
 from api.http.sent_descriptor import MAX_LAMPS, FactsByEffect, SentDescriptor
 from api.settings import Settings
 from api.workers.jobs import DescribedPlanJob, Tiles
+from api.workers.plan_basis import PlanBasis
 from api.workers.render_worker import TilePlanCache, WorkerState, block_view, run_job, tiles_view
 from selector.cost.device_profile import DeviceProfile
 from selector.select import plan_of_view
@@ -293,8 +294,8 @@ def tag(client: Client) -> str:
 def test_pictures_of_another_calibration_have_other_tags(serve_with):
     plain, other = serve_with(fake_workers.obedient), serve_with(calibrated)
     assert tag(plain) != tag(other)
-    assert other.service.pool.calibration == digest_of(profile()) != digest_of(profile(took_s=2.0))
-    assert plain.service.pool.calibration == ""
+    assert other.service.pool.plan_version(None) == digest_of(profile()) != digest_of(profile(took_s=2.0))
+    assert plain.service.pool.plan_version(None) == ""
 
 
 def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
@@ -316,6 +317,9 @@ def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
     assert (tiles.row0 // 1024, tiles.col0 // 1024) in {(357, 535), (357, 536), (358, 535), (358, 536)}
     other = plan_of_tiles(jobs[0].model_copy(update={"zoom": ZOOM - 1}), scene, state)
     assert other is not made[0]
+    state.basis = PlanBasis(profile())
+    by_predictions = plan_of_tiles(jobs[0], scene, state)
+    assert by_predictions.reasons != made[0].reasons and plan_of_tiles(jobs[1], scene, state) is by_predictions
 
 
 def test_plans_that_were_not_used_for_long_are_forgotten():

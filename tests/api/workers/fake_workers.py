@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Semaphore
 
 from api.workers.block_tiles import BLOCK_TILES
-from api.workers.jobs import BlockJob, BlockTiles, Failure, Ping, PlanAnswer, Pong, Preparing, Ready
+from api.workers.jobs import BlockJob, BlockTiles, Failure, Ping, PlanAnswer, PlanJob, Pong, Preparing, Ready
+from api.workers.plan_basis import PlanBasis
 from api.workers.render_worker import WorkerConfig
 from terrain.errors import GraphicsError, InputError, RenderError
 
-RENDERER = "fake"
+RENDERER, VERSION = "fake", "1"
+PLACES = [(row, col) for row in range(BLOCK_TILES) for col in range(BLOCK_TILES)]
 
 
 def obedient(
@@ -47,6 +50,32 @@ def obedient(
         if order == "hang":
             signal.pause()
         pipe.send(_answer(order))
+
+
+def planning(pipe: Connection, config: WorkerConfig, begun: Semaphore | None = None, go: Semaphore | None = None) -> None:
+    """Answers by what its plans go by: a plan is its policy, a tile the version of its plans. Gated as ``obedient``."""
+    basis = config.basis or PlanBasis()
+    pipe.send(Ready(RENDERER, basis.device, VERSION))
+    while True:
+        try:
+            job = pipe.recv()
+        except EOFError:
+            return
+        if isinstance(job, Ping):
+            pipe.send(Pong())
+            continue
+        if isinstance(job, PlanBasis):
+            basis = job
+            continue
+        if begun is not None:
+            begun.release()
+        if go is not None:
+            go.acquire()
+        if isinstance(job, PlanJob):
+            pipe.send(PlanAnswer(f'{{"policy": "{"rules" if basis.device is None else "predict"}"}}'))
+        else:
+            version = basis.version_of(job.level)
+            pipe.send(replace(_answer("draw"), tiles=dict.fromkeys(PLACES, version.encode()), plan_version=version))
 
 
 def hanging(pipe: Connection, config: WorkerConfig) -> None:
@@ -99,5 +128,4 @@ def _answer(order: str) -> BlockTiles | PlanAnswer | Failure:
         return Failure.of(GraphicsError("OpenGL left an error behind"), fatal=True)
     if order != "draw":
         return PlanAnswer(f'{{"view": "{order}"}}')
-    tiles = {(row, col): b"tile" for row in range(BLOCK_TILES) for col in range(BLOCK_TILES)}
-    return BlockTiles(tiles, 0.0, "none", (("geometry", 1.0),), 0.0, 0.0, False, RENDERER)
+    return BlockTiles(dict.fromkeys(PLACES, b"tile"), 0.0, "none", (("geometry", 1.0),), 0.0, 0.0, False, RENDERER)

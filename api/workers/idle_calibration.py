@@ -1,0 +1,143 @@
+"""The calibration that a service's plans go by: found in the user's cache, measured while the service is idle where there is none,
+and taken up anew when its file changes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from api.device_calibration import digest_of
+from api.workers.idle_work import IdleJob, IdleWork
+from selector.cost.device_profile import load_profile, profile_path, save_profile
+
+if TYPE_CHECKING:
+    from selector.cost.device_profile import DeviceProfile
+
+CHECK_EVERY_S = 2.0
+"""How often it is looked whether the calibration's file has changed."""
+
+CalibrationState = Literal["calibrated", "waiting", "running", "paused", "failed", "off", "none"]
+
+ProfileStamp = tuple[int, int, int]
+
+log = logging.getLogger("skugga")
+
+
+def measured_profile() -> DeviceProfile:
+    """Calibrate this process's device. Raises ``GraphicsError``."""
+    from selector.cost.calibration import calibrate
+
+    return calibrate()
+
+
+class IdleCalibration:
+    """Keeps a service's calibration: ``device`` gives the one that plans go by, ``use`` lets them go by another one.
+
+    Where ``enabled``, a device without one is calibrated by ``measure``, once, as idle work.
+    """
+
+    def __init__(
+        self,
+        enabled: bool,
+        idle: IdleWork,
+        device: Callable[[], DeviceProfile | None],
+        use: Callable[[DeviceProfile], None],
+        measure: Callable[[], DeviceProfile] = measured_profile,
+    ) -> None:
+        self._enabled, self._idle, self._device, self._use, self._measure = enabled, idle, device, use, measure
+        self._renderer, self._version = "", ""
+        self._expected, self._failed = enabled, False
+        self._watching: asyncio.Task[None] | None = None
+
+    @property
+    def state(self) -> CalibrationState:
+        """How it stands: ``none`` where there is no OpenGL device to calibrate."""
+        if self._device() is not None:
+            return "calibrated"
+        if self._expected:
+            return "waiting" if self._idle.pid is None else "paused" if self._idle.paused else "running"
+        return "failed" if self._failed else "off" if self._version else "none"
+
+    @property
+    def expected(self) -> bool:
+        """Whether the device is going to be calibrated, as far as is known: then plans change."""
+        return self._expected and self._device() is None
+
+    def begin(self, renderer: str, version: str) -> None:
+        """It is known what render processes draw with; without a version, with nothing that could be calibrated."""
+        if self._version:
+            return
+        self._renderer, self._version, self._expected = renderer, version, self._enabled and bool(version)
+        if version:
+            self._watching = asyncio.create_task(self._watch())
+
+    async def close(self) -> None:
+        """Look at the file no more."""
+        if self._watching is not None:
+            self._watching.cancel()
+            await asyncio.gather(self._watching, return_exceptions=True)
+
+    def _want_one(self) -> None:
+        if not self._enabled:
+            log.info(
+                "%s is not calibrated, so fixed rules choose; skugga calibrate adds predictions "
+                "(SKUGGA_CALIBRATE_WHEN_IDLE is false)", self._renderer,
+            )  # fmt: skip
+            return
+        log.info(
+            "%s is not calibrated, so fixed rules choose until it is: it is measured, for a minute or two, while nothing is "
+            "being drawn", self._renderer,
+        )  # fmt: skip
+        self._idle.add(IdleJob(self._measure, (), self._done, self._gave_up, lambda: self.expected))
+
+    async def _done(self, profile: DeviceProfile) -> None:
+        if (profile.renderer, profile.version) != (self._renderer, self._version):
+            self._gave_up(f"it is of another device, {profile.renderer}")
+            return
+        self._expected = False
+        self._use(profile)
+        took = f"{self._renderer} was calibrated in {profile.took_s:.0f} s, and plans go by predictions from now on"
+        try:
+            path = await asyncio.to_thread(save_profile, profile)
+        except OSError as error:
+            path = profile_path(self._renderer, self._version)
+            log.warning("%s, but until this service ends: %s cannot be written (%s)", took, path, error.strerror or error)
+        else:
+            log.info("%s; kept in %s", took, path)
+
+    def _gave_up(self, reason: str) -> None:
+        self._expected, self._failed = False, True
+        log.warning("%s could not be calibrated, so fixed rules go on choosing: %s", self._renderer, reason)
+
+    async def _watch(self) -> None:
+        """Want a calibration where none is kept, and take up what ``skugga calibrate`` writes beside a service that runs."""
+        path = profile_path(self._renderer, self._version)
+        seen = await self._read(path, None)
+        if self._device() is None:
+            self._want_one()
+        while True:
+            await asyncio.sleep(CHECK_EVERY_S)
+            seen = await self._read(path, seen)
+
+    async def _read(self, path: Path, seen: ProfileStamp | None) -> ProfileStamp | None:
+        """Use what a file holds if it has changed since it was ``seen``; returns how it is seen now."""
+        stamp = await asyncio.to_thread(_stamp, path)
+        if stamp is None or stamp == seen:
+            return seen
+        profile = await asyncio.to_thread(load_profile, self._renderer, self._version)
+        if profile is not None and digest_of(profile) != digest_of(self._device()):
+            self._use(profile)
+            log.info("the calibration of %s was read: plans go by it from now on", path)
+        return stamp
+
+
+def _stamp(path: Path) -> ProfileStamp | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ino, found.st_size

@@ -1,0 +1,204 @@
+"""A service without a calibration: it serves by rules, calibrates its device while it is idle, and goes by that from then on."""
+
+import functools
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from api.http.app import create_app
+from api.http.server import log_config
+from api.settings import Settings
+from api.workers import idle_calibration, idle_work
+from api.workers.process_life import is_stopped
+from selector.cost.device_profile import load_profile, profile_path, save_profile
+from tests.api import conftest
+from tests.api.conftest import CORNER, ZOOM, Client, running
+from tests.api.workers import fake_calibrations, fake_workers
+from tests.api.workers.test_pool import SOON_S, alive
+
+TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
+OTHER_TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{CORNER[0] - 1}/{CORNER[1]}.png"
+PLAN = "/levels/hills/plan"
+BROKEN = [fake_calibrations.failing, fake_calibrations.dying, fake_calibrations.buggy, fake_calibrations.elsewhere]
+
+Serve = Callable[..., Client]
+
+
+@pytest.fixture
+def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
+    """``serve(measure, **settings)`` is a client of a service, soon idle, with an empty cache."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
+    monkeypatch.setattr(idle_work, "QUIET_CHECK_S", 0.01)
+    monkeypatch.setattr(idle_calibration, "CHECK_EVERY_S", 0.02)
+    monkeypatch.setattr(conftest, "log_config", lambda settings: {**log_config(settings), "loggers": {}})  # heard from the start
+    caplog.set_level("INFO", "skugga")
+    with ExitStack() as stack:
+
+        def make(measure, target=fake_workers.planning, **settings) -> Client:
+            asked = Settings(**{"workers": 1, "calibrate_when_idle": True, **settings})
+            client = stack.enter_context(running(create_app(asked, [hills_level], target, measure)))
+            until(lambda: client.service.pool.ready)
+            return client
+
+        yield make
+
+
+def until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + SOON_S
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def state(client: Client) -> str:
+    return str(client.get("/readyz").json()["calibration"])
+
+
+def policy(client: Client) -> str:
+    return str(client.get(PLAN).json()["policy"])
+
+
+def said(caplog: pytest.LogCaptureFixture, words: str) -> int:
+    return sum(words in record.getMessage() for record in caplog.records)
+
+
+def test_rules_first_then_predictions(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    client = serve(functools.partial(fake_calibrations.when_told, tmp_path / "go"))
+    by_rules = client.get(TILE)
+    assert (by_rules.status_code, by_rules.content, policy(client)) == (200, b"", "rules")
+    assert by_rules.headers["cache-control"] == "public, max-age=60"
+    assert client.get(TILE, headers={"If-None-Match": by_rules.headers["etag"]}).status_code == 304
+    assert state(client) in ("waiting", "running", "paused")
+
+    (tmp_path / "go").touch()
+    until(lambda: state(client) == "calibrated")
+    version = client.service.pool.plan_version(None)
+    assert version and policy(client) == "predict"
+    by_predictions = client.get(TILE, headers={"If-None-Match": by_rules.headers["etag"]})
+    assert (by_predictions.status_code, by_predictions.text) == (200, version)
+    assert by_predictions.headers["etag"] != by_rules.headers["etag"]
+    assert by_predictions.headers["cache-control"] == "public, max-age=3600"
+    assert client.get(TILE).text == version, "of the same address, and of the same block, the older tile is kept as well"
+    assert client.get(TILE, headers={"If-None-Match": by_predictions.headers["etag"]}).status_code == 304
+    assert client.get(OTHER_TILE).text == version
+
+    until(lambda: load_profile(fake_workers.RENDERER, fake_workers.VERSION) is not None)
+    until(lambda: said(caplog, "kept in") == 1)
+    assert said(caplog, "is not calibrated, so fixed rules choose until it is") == 1
+    assert said(caplog, "was read") == 0, "its own file is no news"
+
+
+def test_a_kept_calibration_is_used_from_the_start(serve: Serve, tmp_path: Path):
+    client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"), target=fake_workers.planning)
+    save_profile(fake_calibrations.profile())
+    until(lambda: state(client) == "calibrated")
+    again = serve(functools.partial(fake_calibrations.failing, tmp_path / "failed"))
+    until(lambda: state(again) == "calibrated")
+    assert client.get(TILE).headers["etag"] == again.get(TILE).headers["etag"]
+    assert not (tmp_path / "failed").exists()
+
+
+def test_what_is_calibrated_by_hand_is_taken_up(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
+    pool = client.service.pool
+    until(lambda: (tmp_path / "begun").exists() and pool.idle.pid is not None)
+    pid, versions = pool.idle.pid, []
+    assert pid is not None
+    for took_s in (2.0, 3.0):
+        save_profile(fake_calibrations.profile(took_s=took_s))
+        until(lambda: pool.plan_version(None) not in ("", *versions))
+        versions.append(pool.plan_version(None))
+        assert client.get(TILE).text == versions[-1] and policy(client) == "predict"
+    until(lambda: not alive(pid))  # what was measured meanwhile is not wanted any more
+    assert said(caplog, "was read") == 2
+    profile_path(fake_workers.RENDERER, fake_workers.VERSION).unlink()
+    time.sleep(0.1)
+    assert pool.plan_version(None) == versions[-1]
+
+
+def test_a_folder_that_cannot_be_written(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    (tmp_path / "cache").write_text("in the way")  # where nothing can be made, whoever runs this
+    (tmp_path / "go").touch()
+    client = serve(functools.partial(fake_calibrations.when_told, tmp_path / "go"), recycle_blocks=1)
+    until(lambda: said(caplog, "cannot be written") == 1)
+    (record,) = [record for record in caplog.records if "cannot be written" in record.getMessage()]
+    path = profile_path(fake_workers.RENDERER, fake_workers.VERSION)
+    assert record.levelname == "WARNING" and str(path) in record.getMessage() and "Not a directory" in record.getMessage()
+    version = client.service.pool.plan_version(None)
+    assert version and state(client) == "calibrated"
+    for place in (TILE, PLAN, OTHER_TILE):  # also in processes that are started later
+        assert client.get(place).text in (version, '{"policy":"predict"}')
+    assert client.service.pool.tally.started > 1
+    assert said(caplog, "cannot be written") == 1
+
+
+@pytest.mark.parametrize(("measure", "reason"), list(zip(
+    BROKEN, ["libEGL is broken", "its process ended with status 9", "ZeroDivisionError: division by zero", "of another device"],
+    strict=True,
+)))  # fmt: skip
+def test_a_failure_is_told_once(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture, measure, reason: str):
+    client = serve(functools.partial(measure, tmp_path / "begun"))
+    until(lambda: state(client) == "failed")
+    client.get(TILE)
+    time.sleep(0.5)  # several times as long as it waits for idleness
+    assert (tmp_path / "begun").read_text().count("\n") == 1
+    (warning,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert "could not be calibrated" in warning and reason in warning
+    assert policy(client) == "rules" and client.get(OTHER_TILE).headers["cache-control"] == "public, max-age=3600"
+
+
+def test_one_that_takes_too_long_is_given_up(serve: Serve, tmp_path: Path, monkeypatch, caplog: pytest.LogCaptureFixture):
+    monkeypatch.setattr(idle_work, "LONGEST_S", 0.2)
+    client = serve(functools.partial(fake_calibrations.endless, tmp_path / "begun"))
+    until(lambda: state(client) == "failed")
+    assert said(caplog, "it took longer than 0.2 s") == 1 and client.service.pool.idle.pid is None
+
+
+def test_the_setting_switches_it_off(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), calibrate_when_idle=False)
+    assert state(client) == "off" and said(caplog, "SKUGGA_CALIBRATE_WHEN_IDLE is false") == 1
+    assert client.get(TILE).headers["cache-control"] == "public, max-age=3600"
+    time.sleep(0.4)
+    assert not (tmp_path / "begun").exists()
+
+
+def test_nothing_is_calibrated_where_there_is_no_device(serve: Serve, tmp_path: Path):
+    client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), target=fake_workers.obedient)
+    assert state(client) == "none" and client.get(TILE).headers["cache-control"] == "public, max-age=3600"
+    time.sleep(0.4)
+    assert not (tmp_path / "begun").exists()
+
+
+def test_requests_stop_it_and_idleness_lets_it_go_on(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    client = serve(functools.partial(fake_calibrations.when_told, tmp_path / "go"))
+    idle = client.service.pool.idle
+    until(lambda: idle.pid is not None and not idle.paused)
+    monkeypatch.setattr(idle_work, "QUIET_S", SOON_S)
+    answer = client.get(TILE)
+    assert (answer.status_code, idle.paused, state(client)) == (200, True, "paused")
+    assert idle.pid is not None and is_stopped(idle.pid)
+    (tmp_path / "go").touch()
+    time.sleep(0.2)
+    assert state(client) == "paused" and policy(client) == "rules"
+    monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
+    until(lambda: state(client) == "calibrated")
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_shutdown_leaves_no_process_and_no_file(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, paused: bool):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(idle_work, "QUIET_S", 0.05)
+    measure = functools.partial(fake_calibrations.endless, tmp_path / "begun")
+    app = create_app(Settings(workers=1, calibrate_when_idle=True), [hills_level], fake_workers.planning, measure)
+    with running(app) as client:
+        until(lambda: (tmp_path / "begun").exists() and "\n" in (tmp_path / "begun").read_text())
+        pid, left = client.service.pool.idle.pid, Path((tmp_path / "begun").read_text().strip())
+        assert pid is not None and alive(pid) and left.exists()
+        if paused:
+            monkeypatch.setattr(idle_work, "QUIET_S", SOON_S)
+            assert client.get(TILE).status_code == 200 and is_stopped(pid)
+    assert not alive(pid) and not left.parent.exists()

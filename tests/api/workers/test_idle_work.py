@@ -1,0 +1,157 @@
+"""What plans go by may change while a pool runs; idle work may change it, of one level alone."""
+
+import asyncio
+import functools
+import os
+from pathlib import Path
+
+import pytest
+
+from api.workers import idle_work
+from api.workers.idle_work import IdleJob
+from api.workers.jobs import BlockTiles, LevelKey
+from api.workers.plan_basis import PlanBasis
+from api.workers.pool import Pool
+from tests.api.workers import fake_workers
+from tests.api.workers.fake_calibrations import profile
+from tests.api.workers.test_pool import LEVEL, Gate, block, until, with_pool
+
+OTHER = LevelKey(path=Path("other.yaml"), version="1")
+
+
+class PlanGate(Gate):
+    """A gate before processes that plan."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.target = functools.partial(fake_workers.planning, **self.target.keywords)
+
+
+def test_versions():
+    device = profile()
+    basis = PlanBasis(device)
+    assert PlanBasis().version_of(LEVEL) == ""
+    assert basis.version_of(LEVEL) == basis.version_of(None) != PlanBasis(profile(took_s=2.0)).version_of(LEVEL)
+    probed = basis.with_probed(LEVEL, "coarse pixels")
+    assert probed.version_of(OTHER) == basis.version_of(OTHER) == probed.version_of(None)
+    versions = {
+        each.version_of(LEVEL) for each in (basis, probed, basis.with_probed(LEVEL, "fine"), PlanBasis(probed=probed.probed))
+    }
+    assert len(versions) == 4
+    newer = LevelKey(path=LEVEL.path, version="2")
+    both = probed.with_probed(OTHER, "fine").with_probed(newer, "fine")
+    assert set(both.probed) == {OTHER, newer}
+
+
+def drawn(answer: object) -> str:
+    assert isinstance(answer, BlockTiles)
+    assert set(answer.tiles.values()) == {answer.plan_version.encode()}
+    return answer.plan_version
+
+
+def test_all_processes_take_up_another_basis():
+    gate = PlanGate()
+
+    async def scenario(pool: Pool) -> None:
+        await until(lambda: len(pool.pids) == 3)
+        for first, basis in enumerate([None, PlanBasis(profile()), PlanBasis(profile(took_s=2.0))]):
+            pool.basis = basis or pool.basis
+            # as many at a time as there are processes, so that each has one
+            light = [asyncio.create_task(pool.run(block(10 * first + each))) for each in range(3)]
+            await asyncio.gather(*(gate.begun() for _ in range(2)))
+            gate.open(3)
+            await gate.begun()
+            assert {drawn(await one) for one in light} == {pool.plan_version(LEVEL)}
+
+    with_pool(scenario, gate.target, workers=3)
+
+
+def test_what_is_asked_for_after_a_change_is_drawn_by_it():
+    gate = PlanGate()
+
+    async def scenario(pool: Pool) -> None:
+        before = asyncio.create_task(pool.run(block(1)))
+        await gate.begun()
+        pool.basis = PlanBasis(profile())
+        after = asyncio.create_task(pool.run(block(1)))
+        await asyncio.sleep(0)
+        gate.open()
+        assert drawn(await before) == ""  # as it was begun, and told so
+        assert pool.finished(block(1)) is None
+        await gate.begun()
+        gate.open()
+        assert drawn(await after) == pool.plan_version(LEVEL) != ""
+        kept = pool.finished(block(1))
+        assert kept is not None and drawn(kept) == pool.plan_version(LEVEL)
+
+    with_pool(scenario, gate.target)
+
+
+def test_what_waits_at_a_change_is_drawn_by_it():
+    gate = PlanGate()
+
+    async def scenario(pool: Pool) -> None:
+        running, waiting = (asyncio.create_task(pool.run(block(x))) for x in (1, 2))
+        await gate.begun()
+        pool.basis = PlanBasis(profile())
+        gate.open(2)
+        assert (drawn(await running), drawn(await waiting)) == ("", pool.plan_version(LEVEL))
+
+    with_pool(scenario, gate.target)
+
+
+def test_a_process_that_is_started_later_goes_by_it():
+    async def scenario(pool: Pool) -> None:
+        await pool.settled()
+        pool.basis = PlanBasis(profile())
+        for x in range(4):
+            assert drawn(await pool.run(block(x))) == pool.plan_version(LEVEL)
+        assert pool.tally.started > 2
+
+    with_pool(scenario, fake_workers.planning, recycle_blocks=1)
+
+
+def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(idle_work, "QUIET_S", 0.05)
+    failures: list[str] = []
+
+    async def scenario(pool: Pool) -> None:
+        async def note(found: int) -> None:
+            assert pool.basis is not None
+            pool.basis = pool.basis.with_probed(LEVEL, str(found))
+
+        assert drawn(await pool.run(block(1))) == ""
+        pool.idle.add(IdleJob(os.getenv, (), note, failures.append))  # it needs an argument
+        pool.idle.add(IdleJob(abs, (-3,), note, failures.append, lambda: False))
+        pool.idle.add(IdleJob(abs, (-5,), note, failures.append))
+        await until(lambda: pool.plan_version(LEVEL) != "")
+        assert pool.basis is not None and pool.basis.probed == {LEVEL: "5"}
+        assert pool.plan_version(OTHER) == ""
+        assert drawn(await pool.run(block(1))) == pool.plan_version(LEVEL)
+        assert drawn(await pool.run(block(1).model_copy(update={"level": OTHER}))) == ""
+        assert len(failures) == 1 and failures[0].startswith("TypeError: getenv() missing")
+
+    with_pool(scenario, fake_workers.planning)
+
+
+def test_nothing_is_begun_while_something_is_drawn(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(idle_work, "QUIET_S", 0.05)
+    monkeypatch.setattr(idle_work, "QUIET_CHECK_S", 0.01)
+    gate = PlanGate()
+
+    async def scenario(pool: Pool) -> None:
+        done = asyncio.Event()
+
+        async def note(found: int) -> None:
+            done.set()
+
+        running = asyncio.create_task(pool.run(block(1)))
+        await gate.begun()
+        pool.idle.add(IdleJob(abs, (-5,), note, pytest.fail))
+        await asyncio.sleep(0.3)
+        assert pool.idle.pid is None and not done.is_set()
+        gate.open()
+        await running
+        await done.wait()
+
+    with_pool(scenario, gate.target)
