@@ -40,8 +40,8 @@ def make_plan(
     """The plan of a view.
 
     ``overrides`` (fields of ``Shadows``) come before the request's own (a level's pins, then its ``shadows``), and these before
-    ``choices``, one for each light (default: those of the rules). ``rejected`` are reasons why algorithms are not chosen; for all others the plan
-    names what was preferred.
+    ``choices``, one for each light (default: those of the rules). ``rejected`` are reasons why algorithms are not chosen; for all
+    others the plan names what was preferred.
 
     Raises ``InputError`` for an override that is wrong and ``UnsupportedError`` for one that cannot be served.
     """
@@ -67,8 +67,8 @@ COARSE_PIXELS = "larger than the data's cells: each shows the mean visibility of
 
 @dataclass(frozen=True, eq=False)
 class Planner:
-    """Plans of one descriptor: ``request`` is what level and request ask for, ``algorithm_override`` the algorithms in it; ``effects``
-    are those that the scene calls for and ``left_out`` the others, ``forced`` those that the level forces on.
+    """Plans of one descriptor: ``request`` is what level and request ask for, ``algorithm_override`` the algorithms in it;
+    ``effects`` are those that the scene calls for and ``left_out`` the others, ``forced`` those that the level forces on.
     """
 
     descriptor: Descriptor
@@ -304,9 +304,8 @@ def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Req
     """Raise ``UnsupportedError`` for what an algorithm refuses, with what serves it instead."""
     why = ALGORITHMS[name].refusal(parts)
     if why is not None:
-        raise UnsupportedError(
-            request.named("algorithm"), f"{name} for {caster} under {light}", f"{why}; algorithms that can: {', '.join(algorithms_serving(parts))}"
-        )
+        value, allowed = f"{name} for {caster} under {light}", f"{why}; algorithms that can: {', '.join(algorithms_serving(parts))}"
+        raise UnsupportedError(request.named("algorithm"), value, allowed)
 
 
 def _rejected(name: AlgorithmName, assignments: list[_Assignment], requester: str, rejected: Mapping[AlgorithmName, str]) -> str:

@@ -147,7 +147,9 @@ class Pin(PinScope, ShadowSettings):
 
 
 class LevelShadows(Shadows):
-    """What a level asks of the shadows: for all of its views and suns, and in ``pins`` for some; the first pin that holds counts."""
+    """What a level asks of the shadows: for all of its views and suns, and in ``pins`` for some, of which the first that holds
+    counts.
+    """
 
     pins: tuple[Pin, ...] = ()
 
