@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,8 @@ from terrain.errors import Fault, InputError, UnsupportedError, all_at_once
 from terrain.gbuffer.picture import imagery_of
 from terrain.level.level import LEVEL_SUFFIXES, is_level_raster, load_level
 from terrain.level.level_source import LevelSource
+from terrain.level.parts import SunSpec
+from terrain.level.pin_scope import suns_left
 from terrain.scene import Scene, build_scene
 
 RASTER_SUFFIXES = ".tif", ".tiff", ".vrt", ".img", ".asc", ".hgt"
@@ -66,10 +68,9 @@ def remarks(source: Path | LevelSource) -> list[str]:
     scene = build_scene(load_level(source))
     objects, is_generated = scene.objects, scene.loaded.level.terrain.source is None
     _read_all(scene)
-    level = scene.loaded.level
-    for name in level.views if level.views and level.shadows.algorithm != "auto" else ("map",):
+    for name, seen in _planned(scene):
         try:
-            plan_of_view(scene, scene.view(name), name, policy="rules")
+            plan_of_view(seen, seen.view(name), name, policy="rules")
         except UnsupportedError as error:
             raise UnsupportedError(f"{scene.loaded.path}: {error.name}", f"{error.value} in view {name}", error.allowed) from None
     elevation, notes = scene.elevation, []
@@ -92,6 +93,22 @@ def remarks(source: Path | LevelSource) -> list[str]:
     if scene.world.flat and not is_generated:
         notes.append("an engineering CRS is not georeferenced: no web tiles, and the sun by azimuth and altitude only")
     return notes
+
+
+def _planned(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    """The views, each with a scene under a sun, whose plans say whether what a level asks of the shadows can be served."""
+    level = scene.loaded.level
+    for name in level.views if level.views and level.shadows.algorithm != "auto" else ("map",):
+        yield name, scene
+    pins = level.shadows.pins
+    azimuth = 180.0 if scene.sun is None else scene.sun.azimuth_deg
+    for number, pin in enumerate(pins):
+        for name in level.views if level.views and pin.view is None else (pin.view or "map",):
+            if pin.sun_altitude_deg is None and scene.sun is None:
+                yield name, scene
+            for low, high in suns_left(pins, number, name):
+                if high > 0.0:
+                    yield name, scene.with_sun(SunSpec(azimuth=azimuth, altitude=(max(low, 0.0) + high) / 2))
 
 
 def _read_all(scene: Scene) -> None:

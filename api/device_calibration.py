@@ -17,9 +17,10 @@ from terrain.level.level import Shadows
 
 def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfile | None:
     """This device's calibration where there is something to choose; ``None`` where it has none, or there is no OpenGL."""
-    algorithm = overrides.get("algorithm") or shadows.algorithm
-    named = ALGORITHMS.get(algorithm) if isinstance(algorithm, str) else None
-    return None if named is not None and not named.needs_opengl else calibration()
+    asked = overrides.get("algorithm")
+    named = [asked] if asked else [settings.algorithm for settings in shadows.all_settings.values()]
+    records = [ALGORITHMS.get(algorithm) if isinstance(algorithm, str) else None for algorithm in named]
+    return None if all(record is not None and not record.needs_opengl for record in records) else calibration()
 
 
 def calibration() -> DeviceProfile | None:

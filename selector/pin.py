@@ -1,4 +1,5 @@
-"""A choice made at design time, written into the level file: algorithms and settings under ``shadows``, with a comment why.
+"""Choices made at design time, written into the level file, with a comment why: algorithms and settings under ``shadows`` for all
+of its views and suns, or a list of ``pins`` there for some.
 
 The text is changed where it has to be and nowhere else: comments, order, quotes, indentation and line ends of all other keys stay
 byte for byte. Lines that begin with ``#:`` are the pin's own, and are replaced by the next one.
@@ -10,7 +11,7 @@ import json
 import os
 import re
 import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from textwrap import wrap
@@ -31,6 +32,9 @@ from terrain.whole_files import write_whole
 
 POLICY_CHOSEN = ("map_size",)
 """Settings that policies other than the rules choose for each view, so that they are pinned even where the rules agree."""
+
+PINS = "pins"
+"""The key of the pins for some views and suns."""
 
 PIN_COMMENT = "#: Pinned by skugga select"
 PINNED_KEYS_COMMENT = "#: Pinned keys: "
@@ -72,6 +76,11 @@ def pinned(path: Path) -> tuple[str, ...]:
     return _keys_of(match.group()) if match else ()
 
 
+def unpinned_values(keys: Iterable[str]) -> dict[str, Any]:
+    """What keys of ``shadows`` say where nothing is pinned."""
+    return {key: [] if key == PINS else "auto" for key in keys}
+
+
 def pin(path: Path, chosen: Mapping[str, Any], why: Sequence[str]) -> None:
     """Write what was chosen (keys of ``shadows``) into a level file, in the place of an earlier pin, with a comment.
 
@@ -99,7 +108,7 @@ def pinned_text(text: str, chosen: Mapping[str, Any], why: Sequence[str]) -> str
     before = _load(text)
     earlier = _PIN.search(text)
     unpinned = _PIN.sub("", text)
-    wanted = {**dict.fromkeys(_keys_of(earlier.group()) if earlier else (), "auto"), **chosen}
+    wanted = {**unpinned_values(_keys_of(earlier.group()) if earlier else ()), **chosen}
     with suppress(YAMLError, ValueError, IndexError):
         after = _rewritten(unpinned, wanted, [*why, f"{PINNED_KEYS_COMMENT[3:]}{', '.join(chosen)}."])
         expected = {**before, "shadows": {**before.get("shadows", {}), **wanted}}
@@ -119,7 +128,7 @@ def _rewritten(text: str, wanted: Mapping[str, Any], why: Sequence[str]) -> str:
         edits.append(_inserted(text, root.value, {"shadows": wanted}, quoted))
     elif shadows_pair is None:
         indent = " " * root.start_mark.column
-        lines = [f"{indent}shadows:", *(f"{indent}  {key}: {_flow(value, quoted)}" for key, value in wanted.items())]
+        lines = [f"{indent}shadows:", *_lines(wanted, f"{indent}  ", line_end)]
         ended = _DOCUMENT_END.search(text)
         rest = text[ended.start() :] if ended else ""
         text = text.removesuffix(rest)
@@ -143,6 +152,9 @@ def _changes(text: str, shadows: MappingNode, wanted: Mapping[str, Any], quoted:
     pairs: dict[str, Pair] = {key.value: (key, value) for key, value in shadows.value}
     edits = []
     for key in wanted.keys() & pairs.keys():
+        if key == PINS and not shadows.flow_style and _is_list_of_lines(pairs[key]):
+            edits += _list_replaced(text, pairs[key], wanted[key], line_end)
+            continue
         start, end = _span(text, pairs[key])
         gap = " " if text[start - 1] == ":" else ""
         edits.append((start, end, f"{gap}{_flow(wanted[key], quoted)}"))
@@ -153,10 +165,29 @@ def _changes(text: str, shadows: MappingNode, wanted: Mapping[str, Any], quoted:
         first, last = shadows.value[0][0], _span(text, shadows.value[-1])[1]
         insert_at = _line_end(text, last)
         indent = " " * first.start_mark.column
-        edits.append(
-            (insert_at, insert_at, "".join(f"{line_end}{indent}{key}: {_flow(value, quoted)}" for key, value in new.items()))
-        )
+        edits.append((insert_at, insert_at, "".join(f"{line_end}{line}" for line in _lines(new, indent, line_end))))
     return edits
+
+
+def _is_list_of_lines(pair: Pair) -> bool:
+    """Whether a value is a list with a line an item, or one without items that may become one."""
+    key, value = pair
+    return isinstance(value, SequenceNode) and not _is_alias(key, value) and not (value.flow_style and value.value)
+
+
+def _list_replaced(text: str, pair: Pair, items: Sequence[Any], line_end: str) -> list[Edit]:
+    """A list replaced by another one, a line an item; what is said behind its key stays."""
+    key, value = pair
+    assert isinstance(value, SequenceNode)
+    indent = " " * key.start_mark.column
+    colon, end_of_line = text.index(":", key.end_mark.index) + 1, _line_end(text, key.end_mark.index)
+    if value.flow_style:
+        behind_key: list[Edit] = [(colon, value.end_mark.index, "" if items else " []")]
+        end = end_of_line = _line_end(text, value.end_mark.index)
+    else:
+        behind_key = [] if items else [(colon, colon, " []")]
+        end = max(_line_end(text, _end(text, value)), end_of_line)
+    return [*behind_key, (end_of_line, end, _block(items, indent, line_end) if items else "")]
 
 
 def _inserted(text: str, pairs: list[Pair], new: Mapping[str, Any], quoted: bool) -> Edit:
@@ -181,7 +212,7 @@ def _span(text: str, pair: Pair) -> tuple[int, int]:
             raise ValueError("an alias in no plain place")
         return alias.span(1)
     start = value.start_mark.index
-    if isinstance(value, MappingNode) and not value.flow_style:  # its place is behind the colon, on the key's own line
+    if isinstance(value, MappingNode | SequenceNode) and not value.flow_style:  # its place is behind the colon, on the key's line
         start = text.index(":", key.end_mark.index) + 1
     return start, _end(text, value)
 
@@ -199,13 +230,27 @@ def _is_alias(key: Node, value: Node) -> bool:
     return value.start_mark.index < key.end_mark.index
 
 
+def _lines(pairs: Mapping[str, Any], indent: str, line_end: str) -> list[str]:
+    """Keys and values of a block, each on its line or lines."""
+    return [f"{indent}{key}:{_block(value, indent, line_end)}" for key, value in pairs.items()]
+
+
+def _block(value: Any, indent: str, line_end: str) -> str:
+    """What stands behind a key and its colon: a list of mappings with a line an item, else the value on the key's own line."""
+    if isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
+        return "".join(f"{line_end}{indent}  - {_flow(item, quoted=False)}" for item in value)
+    return f" {_flow(value, quoted=False)}"
+
+
 def _flow(value: Any, quoted: bool) -> str:
     """A value on one line; strings in quotes where the file has them, or where they would be read as something else."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_flow(item, quoted) for item in value)}]"
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{_flow(key, quoted)}: {_flow(item, quoted)}' for key, item in value.items())}}}"
     if isinstance(value, str) and not quoted and re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", value) and _load(value) == value:
         return value
-    return json.dumps(value)
+    return json.dumps(value, ensure_ascii=not (isinstance(value, str) and value.isprintable()))
 
 
 def _comment(why: Sequence[str], indent: str) -> list[str]:

@@ -4,7 +4,8 @@ Settings that follow from the view (the ranges of cascades, the sides of texels,
 present view. Algorithms, map sizes and numbers of cascades are kept as long as they serve. A new choice is taken
 
 - at once, where the old one cannot serve: a kind of casters throws shadows that nothing was chosen for, the view or what is asked
-  is of another kind, an algorithm refuses the view; and where the target is missed by more than ``IMMEDIATE_SWITCH``;
+  is of another kind, another of the level's pins holds, an algorithm refuses the view; and where the target is missed by more
+  than ``IMMEDIATE_SWITCH``;
 - after ``PATIENCE`` plans in a row that are better by a margin: ``SWITCH_TIME_GAIN`` of the time, or ``SWITCH_ERROR_GAIN`` of the
   target. The way back takes as large a margin, so that a camera at a border does not flip; and because expectations are
   uncertain, each further switch takes twice the patience, until other kinds of casters throw shadows.
@@ -140,7 +141,8 @@ def next_state(
 ) -> PlanState:
     """What stands after the next plan."""
     fresh = plans(descriptor, plan_request, overrides)
-    request = (descriptor.view_kind, plan_request.shadows, plan_request.effects, overrides or {})
+    pin = plan_request.shadows.pin_for(descriptor.view, descriptor.sun_altitude_deg)
+    request = (descriptor.view_kind, plan_request.shadows, pin, plan_request.effects, overrides or {})
     choices = choices_of(fresh)
     fresh = fresh.model_copy(update={"settings": make_plan(descriptor, plan_request, overrides, choices).settings})
     next_standing = PlanState(fresh, choices, request, PATIENCE)

@@ -29,6 +29,7 @@ from terrain.errors import InputError, SkuggaError, printable
 from terrain.level.gdal_guard import forbid_code, forbid_remote_reads
 from terrain.level.level import parse_sun
 from terrain.level.level_source import LevelSource
+from terrain.level.parts import SunSpec
 from terrain.whole_files import write_whole
 
 app = typer.Typer(
@@ -276,6 +277,9 @@ def select(
     budget: Annotated[str | None, typer.Option(metavar="TIME", help="Time of a probe, as 3s (the default) or 1m.")] = None,
     as_json: JsonOption = False,
     write: Annotated[bool, typer.Option("--write", help="Pin the choice into the level file.")] = False,
+    all_views: Annotated[
+        bool, typer.Option("--all-views", help="Choose for each view of the level, and for its tiles (map); prints a table.")
+    ] = False,
     descriptor: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write the facts of the view to a file; POST /plan accepts it.")
     ] = None,
@@ -288,12 +292,18 @@ def select(
     seconds: SecondsOption = None,
     **asked: Any,
 ) -> None:
-    """Choose algorithms and settings for a view, and say why."""
+    """Choose algorithms and settings for a view, and say why; or for all views of a level."""
     from api.cli.planning import pin_plan, plan_level_view, write_descriptor
     from api.report.plan_text import format_plan
 
     check_targets(level, [("--descriptor", descriptor)])
     overrides = overrides_of("select", asked)
+    if all_views:
+        from api.cli.all_views import refuse_beside
+
+        refuse_beside(view, {"size": size, "bounds": bounds, "crs": crs, "descriptor": descriptor})
+        _select_all(level, policy, budget, overrides, parse_sun(time, azimuth, altitude), seconds, as_json, write)
+        return
     view_options = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
     with _waiting({"measure": "Measuring", "probe": "Probing"}.get(policy, "Choosing")):
         choice = plan_level_view(level, view, policy, overrides, *view_options, ignore_pin=write, budget=budget)
@@ -301,6 +311,31 @@ def select(
     if descriptor is not None:
         write_descriptor(choice, descriptor)
     typer.echo(choice.plan.model_dump_json(indent=2) if as_json else format_plan(choice.plan, choice.heading))
+    if message is not None:
+        typer.echo(message, err=True)
+
+
+def _select_all(
+    level: LevelSource,
+    policy: str,
+    budget: str | None,
+    overrides: dict[str, Any],
+    sun: SunSpec | None,
+    seconds: float | None,
+    as_json: bool,
+    write: bool,
+) -> None:
+    from rich.console import Console
+
+    from api.cli.all_views import pin_all, plan_all_views, rows_of, table_of
+
+    with _waiting("Choosing for all views"):
+        choices = plan_all_views(level, policy, overrides, sun, seconds, ignore_pins=write, budget=budget)
+        message = pin_all(choices) if write else None
+    if as_json:
+        typer.echo(json.dumps(rows_of(choices), indent=2))
+    else:
+        Console(width=None if sys.stdout.isatty() else 200).print(table_of(choices))
     if message is not None:
         typer.echo(message, err=True)
 

@@ -11,8 +11,8 @@ from api.cli.snapshot import scene_and_view
 from api.cli.times import duration_of
 from api.device_calibration import calibration_for
 from api.report.plan_text import POLICIES, format_choices, format_expectation, format_heading, format_view_and_sun
-from selector.choices import PlanRequest, PolicyName, StandaloneRequest
-from selector.pin import PIN_COMMENT, pin, pinned, pins
+from selector.choices import PolicyName
+from selector.pin import PIN_COMMENT, pin, pinned, pins, unpinned_values
 from selector.planner.planner import make_plan as choose_by_rules
 from selector.select import plan_of_view
 from shadows.plan import Plan
@@ -20,7 +20,7 @@ from terrain.describe import describe
 from terrain.errors import InputError, UnsupportedError
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.level.level import override
+from terrain.level.level import LevelShadows
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene
@@ -58,17 +58,30 @@ def plan_level_view(
     """Choose for a view of a level; ``ignore_pin``: as if no earlier choice had been pinned into its file. ``budget`` is the time
     of the policy ``probe``, as 3s. Raises ``SkuggaError``.
     """
+    scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
+    if ignore_pin:
+        scene = unpinned(scene)
+    return plan_scene_view(level.path, scene, view_value, view, policy, overrides, budget)
+
+
+def plan_scene_view(
+    path: Path,
+    scene: Scene,
+    view_value: MapView | PerspectiveView,
+    view: str,
+    policy: str,
+    overrides: dict[str, Any],
+    budget: str | None = None,
+) -> PlannedView:
+    """Choose for a view of a scene whose level is in a file. Raises ``SkuggaError``."""
     if policy not in get_args(PolicyName):
         raise InputError("--policy", policy, ", ".join(get_args(PolicyName)))
     if budget is not None and policy != "probe":
         raise InputError("--budget", budget, f"nothing with --policy {policy}: it is the time of a probe")
     budget_s = None if budget is None else duration_of("--budget", budget).total_seconds()
-    scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
-    if ignore_pin:
-        scene = _unpinned(scene)
     device = calibration_for(scene.loaded.level.shadows, overrides) if policy != "rules" else None
     plan = plan_of_view(scene, view_value, view, overrides, cast(PolicyName, policy), device, budget_s)
-    return PlannedView(level.path, scene, view_value, plan)
+    return PlannedView(path, scene, view_value, plan)
 
 
 def pin_plan(choice: PlannedView) -> str:
@@ -80,9 +93,9 @@ def pin_plan(choice: PlannedView) -> str:
     scene, plan = choice.scene, choice.plan
     level = scene.loaded.level
     chosen = pins(plan, describe(scene, choice.view, plan.view), level)
-    plan_request = StandaloneRequest(override(level.shadows, chosen), level.light_names, level.effects)
+    asked = asking(scene, chosen)
     for name in level.views:
-        _check(scene, name, plan_request, plan)
+        _check(asked, name, plan)
     pin(choice.path, chosen, _why(choice))
     settings = "".join(f", {key} {value}" for key, value in chosen.items() if key != "algorithm")
     return f"Pinned into {choice.path}: algorithm {plan.headline}{settings}."
@@ -94,17 +107,22 @@ def write_descriptor(choice: PlannedView, path: Path) -> None:
     write_whole(path, descriptor.model_dump_json(indent=2) + "\n")
 
 
-def _unpinned(scene: Scene) -> Scene:
+def unpinned(scene: Scene) -> Scene:
     """A scene whose level asks of the shadows what it asked before something was pinned."""
+    return asking(scene, unpinned_values(pinned(scene.loaded.path)))
+
+
+def asking(scene: Scene, changes: dict[str, Any]) -> Scene:
+    """A scene whose level asks something else of the shadows, by keys of ``shadows``."""
     level = scene.loaded.level
-    shadows = override(level.shadows, dict.fromkeys(pinned(scene.loaded.path), "auto"))
+    shadows = LevelShadows.model_validate({**level.shadows.model_dump(exclude_unset=True), **changes})
     loaded = scene.loaded.model_copy(update={"level": level.model_copy(update={"shadows": shadows})})
     return replace(scene, loaded=loaded)
 
 
-def _check(scene: Scene, name: str, plan_request: PlanRequest, plan: Plan) -> None:
+def _check(scene: Scene, name: str, plan: Plan) -> None:
     try:
-        choose_by_rules(describe(scene, scene.view(name), name), plan_request)
+        choose_by_rules(describe(scene, scene.view(name), name), scene.loaded.level)
     except UnsupportedError as error:
         reason = f"view {name} of this level could not be drawn with it: {error.value}: {error.allowed}"
         raise UnsupportedError("--write", plan.headline, reason) from None

@@ -262,15 +262,13 @@ class ServedLevels:
             raise LevelError(str(path), remote[0], "local files; SKUGGA_REMOTE_SOURCES=true allows remote ones")
         if origin.roots is not None:
             DataRoots(origin.roots).check_opened(loaded)
-        if not names_in(loaded.level.shadows.algorithm) <= set(served_algorithms()):
-            raise LevelError(
-                f"{path}: shadows.algorithm", loaded.level.shadows.algorithm,
-                f"in a level that is served: {', '.join(['auto', *served_algorithms()])}",
-            )  # fmt: skip
-        if loaded.level.shadows.fit == "tight":
-            raise LevelError(
-                f"{path}: shadows.fit", "tight", "auto or stable in a served level: tiles with a tight fit do not join"
-            )
+        for key, settings in loaded.level.shadows.all_settings.items():
+            if not names_in(settings.algorithm) <= set(served_algorithms()):
+                allowed = f"in a level that is served: {', '.join(['auto', *served_algorithms()])}"
+                raise LevelError(f"{path}: {key}.algorithm", settings.algorithm, allowed)
+            if settings.fit == "tight":
+                allowed = "auto or stable in a served level: tiles with a tight fit do not join"
+                raise LevelError(f"{path}: {key}.fit", "tight", allowed)
         # Without its sun: a time needs the sun's library, which the service may never need.
         files = watched_files(loaded)
         stamps = file_stamps(files)  # before they are read: what changes meanwhile is seen at the next look

@@ -13,6 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from selector.choices import Choice, PlanRequest
 from selector.planner.advice import choices_by_rules
+from selector.planner.asked import Asked, asked_of
 from shadows.algorithm import FALLS_BACK_FOR, AlgorithmSettings, Reasoned, Requirement, SettingsRequest, is_area, requirements_of
 from shadows.passes import PassLog
 from shadows.plan import Plan, Step, Target, plan_steps
@@ -23,9 +24,9 @@ from terrain.effects.cast_shadows import sun_kind_verdict, sun_verdict
 from terrain.errors import InputError, UnsupportedError
 from terrain.facts.descriptor import Descriptor
 from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import SUN, AlgorithmOverride, CasterKind, EffectName, Shadows, expand_override, override, spelt
+from terrain.level.level import SUN, AlgorithmOverride, CasterKind, EffectName, Shadows, ShadowSettings, expand_override, spelt
 
-SETTING_NAMES = tuple(key for key in Shadows.model_fields if key not in ("algorithm", "max_error", "max_ms"))
+SETTING_NAMES = tuple(key for key in ShadowSettings.model_fields if key != "algorithm")
 """What can be asked for besides an algorithm and a target."""
 
 
@@ -38,9 +39,9 @@ def make_plan(
 ) -> Plan:
     """The plan of a view.
 
-    ``overrides`` (fields of ``Shadows``) come before the request's own (a level's ``shadows``), and these before ``choices``, one
-    for each light (default: those of the rules). ``rejected`` are reasons why algorithms are not chosen; for all others the plan
-    names what was preferred.
+    ``overrides`` (fields of ``Shadows``) come before the request's own (a level's pins, then its ``shadows``), and these before
+    ``choices``, one for each light (default: those of the rules). ``rejected`` are reasons why algorithms are not chosen; for all
+    others the plan names what was preferred.
 
     Raises ``InputError`` for an override that is wrong and ``UnsupportedError`` for one that cannot be served.
     """
@@ -50,15 +51,15 @@ def make_plan(
 
 def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:
     """What all plans of a descriptor share, whatever is chosen. Raises as ``make_plan`` does."""
-    overrides = {key: value for key, value in (overrides or {}).items() if value is not None}
-    shadows = override(plan_request.shadows, overrides)
+    asked = asked_of(descriptor, plan_request, overrides)
+    shadows = asked.shadows
     effects, left_out = _effects(descriptor, plan_request, shadows)
     try:
         algorithm_override = expand_override(shadows.algorithm, plan_request.light_names)
     except PydanticCustomError as error:
         raise InputError("algorithm", spelt(shadows.algorithm), error.message()) from None
     forced = frozenset(name for name in EFFECTS if _wish(plan_request, name) == "on")
-    return Planner(descriptor, overrides, shadows, effects, left_out, algorithm_override, forced)
+    return Planner(descriptor, asked, effects, left_out, algorithm_override, forced)
 
 
 COARSE_PIXELS = "larger than the data's cells: each shows the mean visibility of the {side} x {side} points of a finer map in it"
@@ -66,13 +67,12 @@ COARSE_PIXELS = "larger than the data's cells: each shows the mean visibility of
 
 @dataclass(frozen=True, eq=False)
 class Planner:
-    """Plans of one descriptor: ``asked`` is what level and request ask for together, ``algorithm_override`` the algorithms in it;
+    """Plans of one descriptor: ``request`` is what level and request ask for, ``algorithm_override`` the algorithms in it;
     ``effects`` are those that the scene calls for and ``left_out`` the others, ``forced`` those that the level forces on.
     """
 
     descriptor: Descriptor
-    overrides: dict[str, Any]
-    asked: Shadows
+    request: Asked
     effects: list[Reasoned]
     left_out: list[Reasoned]
     algorithm_override: AlgorithmOverride
@@ -80,6 +80,11 @@ class Planner:
     _resolved_settings: dict[tuple[object, ...], tuple[AlgorithmSettings | None, list[Reasoned]]] = field(default_factory=dict)
     _combinations: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
     _unique: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
+
+    @property
+    def asked(self) -> Shadows:
+        """What is asked for, whoever asks."""
+        return self.request.shadows
 
     def casting(self, light: str) -> list[CasterKind]:
         """The kinds of casters that throw shadows under a light, or may."""
@@ -101,7 +106,7 @@ class Planner:
 
     def plan(self, choices: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
         """The plan that comes of choices by light. Raises as ``make_plan`` does."""
-        descriptor, shadows, requester = self.descriptor, self.asked, _who(self.overrides, "algorithm")
+        descriptor, shadows, requester = self.descriptor, self.asked, self.request.who("algorithm")
         assignments = [
             assignment for light in descriptor.light_kinds for assignment in self._assignments(light, choices.get(light))
         ]
@@ -120,7 +125,7 @@ class Planner:
                 reported.add((assignment.light, assignment.name))
             if kind_settings is not None:
                 settings.setdefault(assignment.light, {})[assignment.kind] = kind_settings
-        reasons += _settings_asked_for(shadows, self.overrides, settings, reasons)
+        reasons += _settings_asked_for(self.request, settings, reasons)
         if descriptor.pieces > 1 and settings:
             reasons.append(Reasoned(name="coarse pixels", reason=COARSE_PIXELS.format(side=descriptor.pieces)))
         effects, left_out = _with_work(self.effects, self.left_out, algorithm, settings)
@@ -142,18 +147,18 @@ class Planner:
         return {effect.name: effect.reason for effect in self.left_out}
 
     def _assignments(self, light: str, choice: Choice | None) -> list[_Assignment]:
-        requester, kind_of_light, assignments = _who(self.overrides, "algorithm"), self.descriptor.light_kinds[light], []
+        kind_of_light, assignments = self.descriptor.light_kinds[light], []
         missing = self._missing
         for caster in self.descriptor.casters:
             requested, parts = (
                 self.algorithm_override.get(light, {}).get(caster),
                 requirements_of(self.descriptor, kind_of_light, caster, self._is_area(light)),
             )
-            name, why, is_free = _algorithm(self.descriptor, light, caster, requested, requester, missing, self.forced, choice)
+            name, why, is_free = _algorithm(self.descriptor, light, caster, requested, self.request, missing, self.forced, choice)
             asked_for, why_not = name, _falls_back(name, parts)
             if why_not is not None:
-                name, why = FALLBACK, f"{requester} sets {asked_for}, but {why_not}"
-            _check(name, light, caster, parts, requester)
+                name, why = FALLBACK, f"{self.request.who('algorithm')} sets {asked_for}, but {why_not}"
+            _check(name, light, caster, parts, self.request)
             assignments.append(_Assignment(light, caster, name, why, is_free, parts, asked_for))
         return assignments
 
@@ -201,10 +206,6 @@ class _Assignment:
     free: bool
     parts: tuple[Requirement, ...]
     asked_for: AlgorithmName
-
-
-def _who(overrides: Mapping[str, Any], key: str) -> str:
-    return "the request" if key in overrides else "the level"
 
 
 def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
@@ -266,7 +267,7 @@ def _algorithm(
     light: str,
     caster: CasterKind,
     requested: AlgorithmName | None,
-    requester: str,
+    request: Asked,
     missing: dict[str, str],
     forced: Collection[EffectName],
     choice: Choice | None,
@@ -281,7 +282,7 @@ def _algorithm(
     if light == SUN and (descriptor.highest_sun_deg is None or (descriptor.lamps and not sun_verdict(descriptor).called_for)):
         return NO_SHADOWS, sun_verdict(descriptor).reason, False
     if requested is not None:
-        return requested, f"set by {requester}", False
+        return requested, request.because("algorithm"), False
     if caster == "relief" and descriptor.relief_m <= 0.0:
         return NO_SHADOWS, "level ground casts no shadow", False
     if light == SUN and not needed & set(forced) and not sun_kind_verdict(descriptor, caster).called_for:
@@ -299,14 +300,12 @@ def _falls_back(name: AlgorithmName, parts: tuple[Requirement, ...]) -> str | No
     return None if ALGORITHMS[name].refusal(others) else ALGORITHMS[name].refusal(parts)
 
 
-def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], requester: str) -> None:
+def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], request: Asked) -> None:
     """Raise ``UnsupportedError`` for what an algorithm refuses, with what serves it instead."""
     why = ALGORITHMS[name].refusal(parts)
     if why is not None:
-        key = "algorithm" if requester == "the request" else "shadows.algorithm"
-        raise UnsupportedError(
-            key, f"{name} for {caster} under {light}", f"{why}; algorithms that can: {', '.join(algorithms_serving(parts))}"
-        )
+        value, allowed = f"{name} for {caster} under {light}", f"{why}; algorithms that can: {', '.join(algorithms_serving(parts))}"
+        raise UnsupportedError(request.named("algorithm"), value, allowed)
 
 
 def _rejected(name: AlgorithmName, assignments: list[_Assignment], requester: str, rejected: Mapping[AlgorithmName, str]) -> str:
@@ -339,8 +338,7 @@ def _rejected(name: AlgorithmName, assignments: list[_Assignment], requester: st
 
 
 def _settings_asked_for(
-    shadows: Shadows,
-    overrides: Mapping[str, Any],
+    request: Asked,
     settings: dict[str, dict[CasterKind, AlgorithmSettings]],
     given_reasons: list[Reasoned],
 ) -> list[Reasoned]:
@@ -351,10 +349,10 @@ def _settings_asked_for(
     reported = {reasoned.name.rpartition(": ")[2] for reasoned in given_reasons}
     reasons = []
     for key in SETTING_NAMES:
-        value = getattr(shadows, key)
+        value = getattr(request.shadows, key)
         name = f"{key} {value}"
         if value != "auto" and name not in reported:
-            reason = f"set by {_who(overrides, key)}"
+            reason = request.because(key)
             if not any(each.asked_as.get(key) == value for each in resolved):
                 reason += ", without effect: no chosen algorithm has this setting"
             reasons.append(Reasoned(name=name, reason=reason))

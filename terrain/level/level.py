@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, field_validator, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic_core import InitErrorDetails, PydanticCustomError
 from ruamel.yaml.error import YAMLError
 
 from terrain.errors import Fault, InputError, LevelError, printable
@@ -37,6 +37,7 @@ from terrain.level.parts import (
     Weather,
     time_of,
 )
+from terrain.level.pin_scope import PinScope, never_taken
 from terrain.level.rasters import is_raster
 from terrain.level.setting import Requests
 
@@ -58,8 +59,8 @@ AlgorithmOverride = dict[str, dict[CasterKind, AlgorithmName]]
 """An override of the algorithm: light -> caster kind -> name; whatever it leaves out is chosen by the selector."""
 
 
-class Shadows(Model):
-    """What is asked of the shadows; ``auto`` leaves a choice to the selector.
+class ShadowSettings(Model):
+    """How shadows are to be drawn: what can be pinned; ``auto`` leaves a choice to the selector.
 
     A setting is declared here and nowhere else. Its type, limits and description make the options of ``skugga render`` and
     ``skugga select``, the parameters over HTTP and what crosses to render processes; ``Requests`` says where it is taken, if
@@ -69,15 +70,6 @@ class Shadows(Model):
     algorithm: Annotated[
         Literal["auto"] | AlgorithmName | dict[str, Any], Requests(spelt=Annotated[str, Field(max_length=200)])
     ] = Field(default="auto", description="`auto`, a name, or `relief=NAME,forest=NAME,LIGHT=NAME`.", examples=["auto"])
-    max_error: Annotated[FiniteFloat, Requests(take=("select", "plans"))] = Field(
-        default=0.03, ge=0, le=1, description="Error limit: share of the cast shadow that may be wrong.", examples=[0.03]
-    )
-    max_ms: Annotated[FiniteFloat | None, Requests(take=("select", "plans"))] = Field(
-        default=None,
-        gt=0,
-        description="Time limit: milliseconds for the shadows of a frame (of a map: of a block of 1024 x 1024 pixels).",
-        examples=[40],
-    )
     map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = Field(
         default="auto", description="Size of a shadow map: texels a side.", examples=[1024]
     )
@@ -116,6 +108,61 @@ class Shadows(Model):
         return value
 
 
+class Shadows(ShadowSettings):
+    """What is asked of the shadows: how they are to be drawn, and the target where that is left to the selector."""
+
+    max_error: Annotated[FiniteFloat, Requests(take=("select", "plans"))] = Field(
+        default=0.03, ge=0, le=1, description="Error limit: share of the cast shadow that may be wrong.", examples=[0.03]
+    )
+    max_ms: Annotated[FiniteFloat | None, Requests(take=("select", "plans"))] = Field(
+        default=None,
+        gt=0,
+        description="Time limit: milliseconds for the shadows of a frame (of a map: of a block of 1024 x 1024 pixels).",
+        examples=[40],
+    )
+
+    def pin_for(self, view: str, sun_altitude_deg: float | None) -> int | None:
+        """The number of the pin that holds for a view under a sun (``None``: without one); a request has none."""
+        return None
+
+    @property
+    def all_settings(self) -> dict[str, ShadowSettings]:
+        """All that may come to be asked for, by its key in a level file."""
+        return {"shadows": self}
+
+
+class Pin(PinScope, ShadowSettings):
+    """Settings for some views and suns of a level. Those that it names go before the level's own."""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings that it names."""
+        return self.model_dump(include=self.model_fields_set & ShadowSettings.model_fields.keys())
+
+    @model_validator(mode="after")
+    def _pins_something(self) -> Pin:
+        if not self.settings:
+            raise PydanticCustomError("pin", "one of {keys} besides", {"keys": ", ".join(ShadowSettings.model_fields)})
+        return self
+
+
+class LevelShadows(Shadows):
+    """What a level asks of the shadows: for all of its views and suns, and in ``pins`` for some, of which the first that holds
+    counts.
+    """
+
+    pins: tuple[Pin, ...] = ()
+
+    def pin_for(self, view: str, sun_altitude_deg: float | None) -> int | None:
+        """The number of the first pin that holds for a view under a sun; ``None`` where none does."""
+        return next((number for number, pin in enumerate(self.pins) if pin.holds(view, sun_altitude_deg)), None)
+
+    @property
+    def all_settings(self) -> dict[str, ShadowSettings]:
+        """All that may come to be asked for, by its key in the file."""
+        return {**super().all_settings, **{f"shadows.pins.{number}": pin for number, pin in enumerate(self.pins)}}
+
+
 class Level(Model):
     """A whole level file."""
 
@@ -131,7 +178,7 @@ class Level(Model):
     weather: Weather = Weather()
     seconds: float = Field(default=0.0, ge=-1e9, le=1e9)
     views: dict[str, ViewSpec] = {"map": MapSpec(kind="map")}
-    shadows: Shadows = Shadows()
+    shadows: LevelShadows = LevelShadows()
     effects: Literal["auto"] | dict[EffectName, Literal["auto", "on", "off"]] = "auto"
 
     @field_validator("lights")
@@ -146,6 +193,28 @@ class Level(Model):
     @model_validator(mode="after")
     def _lights_exist(self) -> Level:
         expand_override(self.shadows.algorithm, self.light_names)
+        return self
+
+    @model_validator(mode="after")
+    def _pins_hold(self) -> Level:
+        """Each pin is for a view and lights that there are, and for something that earlier pins leave."""
+        pins, views, wrong = self.shadows.pins, {"map": None, **self.views}, []
+        for number, pin in enumerate(pins):
+            if pin.view is not None and pin.view not in views:
+                problem = PydanticCustomError("pin", "one of the level's views: {views}", {"views": ", ".join(views)})
+                wrong.append(InitErrorDetails(type=problem, loc=("shadows", "pins", number, "view"), input=pin.view))
+            try:
+                expand_override(pin.algorithm, self.light_names)
+            except PydanticCustomError as error:
+                where = ("shadows", "pins", number, "algorithm")
+                wrong.append(InitErrorDetails(type=error, loc=where, input=pin.algorithm))
+        if not wrong:
+            for number, earlier in never_taken(pins, views, self.sun == "none"):
+                before = " and ".join(f"shadows.pins.{each} ({pins[each].where})" for each in earlier)
+                problem = PydanticCustomError("pin", "views and suns that are left by {before}", {"before": before})
+                wrong.append(InitErrorDetails(type=problem, loc=("shadows", "pins", number), input=pins[number].where))
+        if wrong:
+            raise ValidationError.from_exception_data("Level", wrong)
         return self
 
     @model_validator(mode="after")
@@ -278,7 +347,7 @@ def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
     """What is asked of the shadows with a request's changes (``None`` changes nothing). Raises ``InputError``."""
     changes = {key: value for key, value in changes.items() if value is not None}
     try:
-        return Shadows.model_validate({**shadows.model_dump(), **changes})
+        return Shadows.model_validate({**shadows.model_dump(include=set(Shadows.model_fields)), **changes})
     except ValidationError as error:
         details = error.errors()
         name = str(details[0]["loc"][0]) if details[0]["loc"] else "shadows"

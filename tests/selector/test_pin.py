@@ -79,6 +79,54 @@ def test_the_next_pin_takes_the_place_of_the_last(name):
     assert back == once
 
 
+PIN_LIST = {
+    "pins": [
+        {"view": "map", "sun_altitude_deg": [5, 20.5], "algorithm": {"relief": "sweep", "meshes": "shadow_map"}, "map_size": 2048},
+        {"view": "grüne Au", "algorithm": {"sun": {"relief": "hybrid"}, "lamp": {"meshes": "planar"}}},
+    ]
+}
+LISTS = {
+    "a list of hand": f"{HEAD}shadows:\n  pins:   # mine\n  - {{view: a, filter: 1}}\n  map_size: 64  # kept\n",
+    "a list over lines": f"{HEAD}shadows:\n    pins:\n      - view: a\n        filter: 1\n      - filter: 2\n\n# tail\nsun: none\n",
+    "a list in brackets": f"{HEAD}shadows:\n  pins: [{{view: a, filter: 1}}]  # mine\n  map_size: 64  # kept\n",
+    "an empty list": f"{HEAD}shadows:\n  pins: []   # mine\n# tail\n",
+    "a list in braces": f"{HEAD}shadows: {{pins: [{{filter: 1}}], map_size: 64}}   # said\n",
+    "a list of JSON": '{"version": 1, "shadows": {"pins": [{"filter": 1}]}, "terrain": {"source": "jacksboro"}}',
+    "a list of another system": f"{HEAD}shadows:\n  pins:\n  - {{filter: 1}}\nsun: none # x\n".replace("\n", "\r\n"),
+}
+
+
+@pytest.mark.parametrize("name", [*FILES, *LISTS])
+def test_a_list_of_pins_takes_the_place_of_the_last(name):
+    before = {**FILES, **LISTS}[name]
+    once = pinned_text(before, PIN_LIST, WHY)
+    assert once is not None and pinned_text(once, PIN_LIST, WHY) == once
+    old = load(before)
+    assert load(once) == {**old, "shadows": {**old.get("shadows", {}), **PIN_LIST}}
+    assert "\n" not in once.replace("\r\n", "") if "\r\n" in before else "\r" not in once
+    for comment in ("# ö", "# said", "# tail", "# small", "# coarse", "# keep", "# after", "# in\n", "# mine", "# kept", "# x"):
+        assert (comment in before) == (comment in once)
+    assert "grüne Au" in once
+    whole = pinned_text(once, CHOSEN, WHY)
+    assert whole is not None and load(whole)["shadows"] == {**load(once)["shadows"], **CHOSEN, "pins": []}
+    back = pinned_text(whole, PIN_LIST, WHY)
+    assert back is not None
+    assert load(back)["shadows"] == {**load(once)["shadows"], **dict.fromkeys(CHOSEN, "auto")}
+    assert pinned_text(back, PIN_LIST, WHY) == back
+    for comment in ("# ö", "# said", "# tail", "# mine", "# kept"):
+        assert (comment in before) == (comment in back)
+
+
+def test_a_list_of_pins_has_a_line_a_pin():
+    before = "version: 1\nshadows:\n  max_error: 0.01  # fine\n"
+    after = pinned_text(before, PIN_LIST, ["Pinned by skugga select."])
+    assert after == (
+        "version: 1\n#: Pinned by skugga select.\n#: Pinned keys: pins.\nshadows:\n  max_error: 0.01  # fine\n  pins:\n"
+        "    - {view: map, sun_altitude_deg: [5, 20.5], algorithm: {relief: sweep, meshes: shadow_map}, map_size: 2048}\n"
+        '    - {view: "grüne Au", algorithm: {sun: {relief: hybrid}, lamp: {meshes: planar}}}\n'
+    )
+
+
 def test_of_the_file_nothing_else_changes_at_all():
     before = FILES["block style"]
     after = pinned_text(before, {"algorithm": {"relief": "sweep"}, "map_size": 1024}, ["Pinned by skugga select."])

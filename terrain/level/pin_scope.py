@@ -1,0 +1,75 @@
+"""Where a pin holds: for one view or all of them, and for a range of suns; and which of some pins holds where."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import Annotated
+
+from pydantic import Field, field_validator
+from pydantic_core import PydanticCustomError
+
+from terrain.level.parts import Model
+
+Degrees = Annotated[float, Field(ge=-90, le=90)]
+Range = tuple[float, float]
+
+ALL_SUNS: Range = (-90.0, 90.0)
+
+
+class PinScope(Model):
+    """Where a pin holds. ``view`` is a view's name (``map``: its tiles, too), ``sun_altitude_deg`` the sun's least and greatest
+    altitude at the level's anchor; what is left out may be any. Without a sun only a pin without a range holds.
+    """
+
+    view: str | None = None
+    sun_altitude_deg: tuple[Degrees, Degrees] | None = None
+
+    @field_validator("sun_altitude_deg")
+    @classmethod
+    def _not_empty(cls, value: Range | None) -> Range | None:
+        if value is not None and not value[0] < value[1]:
+            raise PydanticCustomError("range", "[least, most] in degrees, the least below the most")
+        return value
+
+    @property
+    def where(self) -> str:
+        """In words, as ``view village, sun 5 to 20 degrees high``."""
+        parts = ["all views" if self.view is None else f"view {self.view}"]
+        if self.sun_altitude_deg is not None:
+            low, high = self.sun_altitude_deg
+            parts.append(f"sun {low:g} to {high:g} degrees high")
+        return ", ".join(parts)
+
+    def holds(self, view: str, sun_altitude_deg: float | None) -> bool:
+        """Whether it holds for a view under a sun (``None``: without one)."""
+        if self.view is not None and self.view != view:
+            return False
+        if self.sun_altitude_deg is None:
+            return True
+        return sun_altitude_deg is not None and self.sun_altitude_deg[0] <= sun_altitude_deg <= self.sun_altitude_deg[1]
+
+
+def suns_left(scopes: Sequence[PinScope], number: int, view: str) -> list[Range]:
+    """The altitudes for which it is this of some pins that is taken in a view: those that no earlier one holds for."""
+    scope = scopes[number]
+    if scope.view not in (None, view):
+        return []
+    left = [scope.sun_altitude_deg or ALL_SUNS]
+    for earlier in scopes[:number]:
+        if earlier.view in (None, view):
+            low, high = earlier.sun_altitude_deg or ALL_SUNS
+            left = [part for a, b in left for part in ((a, min(b, low)), (max(a, high), b)) if part[0] < part[1]]
+    return left
+
+
+def never_taken(scopes: Sequence[PinScope], views: Collection[str], sunless: bool) -> Iterator[tuple[int, list[int]]]:
+    """The pins that hold for nothing that earlier ones leave, each with those earlier ones; ``sunless``: the level may be without
+    a sun.
+    """
+    for number, scope in enumerate(scopes):
+        own = [view for view in views if scope.view in (None, view)]
+        before = [each for each, earlier in enumerate(scopes[:number]) if scope.view is None or earlier.view in (None, scope.view)]
+        dark = [view for view in own if sunless and scope.sun_altitude_deg is None]
+        left_in_the_dark = any(not any(scopes[each].holds(view, None) for each in before) for view in dark)
+        if not left_in_the_dark and not any(suns_left(scopes, number, view) for view in own):
+            yield number, before

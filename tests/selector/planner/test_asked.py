@@ -1,0 +1,77 @@
+"""Who asks for what: a request, then the first pin of the level that holds, then the level itself, then the policy."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from selector.planner.planner import make_plan
+from terrain.describe import describe
+from terrain.errors import UnsupportedError
+from terrain.level.level import SunSpec, load_level
+from terrain.scene import build_scene
+
+PINS = [
+    {"view": "eye", "sun_altitude_deg": [5, 20], "algorithm": {"meshes": "shadow_volume"}},
+    {"view": "eye", "map_size": 256},
+    {"view": "map", "algorithm": {"meshes": "hybrid"}, "map_size": "auto"},
+]
+LEVEL = {
+    "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}}, "meshes": [{"generate": "tetrahedra"}],
+    "sun": {"azimuth": 200, "altitude": 12},
+    "views": {"eye": {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "size": [64, 48]}, "map": {"kind": "map"}},
+    "shadows": {"algorithm": {"meshes": "shadow_map"}, "map_size": 300, "pins": PINS},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pins") / "mine.yaml"
+    path.write_text(json.dumps(LEVEL))
+    return build_scene(load_level(path))
+
+
+def planned(scene, view, altitude=12.0, **overrides):
+    seen = scene.with_sun(SunSpec(azimuth=200, altitude=altitude))
+    plan = make_plan(describe(seen, seen.view(view), view), seen.loaded.level, overrides)
+    return plan, {reasoned.name: reasoned.reason for reasoned in plan.reasons}
+
+
+def test_a_pin_goes_before_the_level_and_says_so(scene):
+    plan, why = planned(scene, "eye")
+    assert plan.algorithm["sun"]["meshes"] == "shadow_volume"
+    assert why["sun/meshes: shadow_volume"] == "pinned by the level for view eye, sun 5 to 20 degrees high"
+    assert why["map_size 300"].startswith("set by the level, without effect"), "what a pin does not name is the level's"
+    rejected = {reasoned.name: reasoned.reason for reasoned in plan.rejected}
+    assert rejected["hybrid"] == "the level's pin for view eye, sun 5 to 20 degrees high sets none, shadow_volume"
+
+
+def test_under_another_sun_the_next_pin_holds(scene):
+    plan, why = planned(scene, "eye", 25.0)
+    settings = plan.settings["sun"]["meshes"]
+    assert plan.algorithm["sun"]["meshes"] == "shadow_map" and settings.map_size == 256
+    assert (why["sun/meshes: shadow_map"], why["map_size 256"]) == ("set by the level", "pinned by the level for view eye")
+
+
+def test_of_another_view_auto_leaves_it_to_the_policy(scene):
+    plan, why = planned(scene, "map")
+    assert plan.algorithm["sun"]["meshes"] == "hybrid" and not any(name.startswith("map_size 300") for name in why)
+    free = make_plan(describe(scene, scene.view("map"), "map"), scene.loaded.level, {"map_size": "auto"})
+    assert plan.settings == free.settings
+
+
+def test_a_request_goes_before_a_pin_key_by_key(scene):
+    plan, why = planned(scene, "eye", algorithm={"meshes": "planar"})
+    assert plan.algorithm["sun"]["meshes"] == "planar" and why["sun/meshes: planar"] == "set by the request"
+    plan, why = planned(scene, "eye", map_size=700)
+    assert plan.algorithm["sun"]["meshes"] == "shadow_volume" and why["map_size 700"].startswith("set by the request")
+
+
+def test_what_a_pin_asks_for_in_vain_names_its_key(scene):
+    level = scene.loaded.level
+    pin = level.shadows.pins[2].model_copy(update={"algorithm": {"meshes": "perspective_shadow_map"}})
+    shadows = level.shadows.model_copy(update={"pins": (*level.shadows.pins[:2], pin)})
+    with pytest.raises(UnsupportedError) as error:
+        make_plan(describe(scene, scene.view("map"), "map"), level.model_copy(update={"shadows": shadows}))
+    assert error.value.name == "shadows.pins.2.algorithm" and "no perspective" in str(error.value)

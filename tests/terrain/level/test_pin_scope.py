@@ -1,0 +1,98 @@
+"""Where pins hold: the first of them counts, and none is there in vain."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terrain.errors import LevelError
+from terrain.level.level import load_level
+from terrain.level.pin_scope import PinScope, never_taken, suns_left
+
+LEVEL = {
+    "version": 1, "terrain": {"flat": {"size": [50, 50], "cells": [5, 5]}}, "sun": {"azimuth": 200, "altitude": 35},
+    "views": {"village": {"kind": "map"}},
+}  # fmt: skip
+SWEEP = {"algorithm": "sweep"}
+
+
+def loaded(path, *pins, **keys):
+    path.write_text(json.dumps({**LEVEL, **keys, "shadows": {"pins": pins}}))
+    return load_level(path).level.shadows
+
+
+@pytest.mark.parametrize(
+    ("pins", "words"),
+    [
+        ([{"view": "vilage", **SWEEP}], ("shadows.pins.0.view: 'vilage'", "map, village")),
+        ([SWEEP | {"view": "map"}, {"view": "x", **SWEEP}], ("shadows.pins.1.view: 'x'", "map, village")),
+        ([{"sun_altitude_deg": [20, 20], **SWEEP}], ("shadows.pins.0.sun_altitude_deg: '[20, 20]'", "below")),
+        ([{"sun_altitude_deg": [30, 20], **SWEEP}], ("shadows.pins.0.sun_altitude_deg: '[30, 20]'", "below")),
+        ([{"sun_altitude_deg": [30, 95], **SWEEP}], ("shadows.pins.0.sun_altitude_deg.1: '95'", "90")),
+        ([{"sun_altitude": [30, 95], **SWEEP}], ("shadows.pins.0.sun_altitude: unknown key", "did you mean 'sun_altitude_deg'")),
+        ([{"max_error": 0.1, **SWEEP}], ("shadows.pins.0.max_error: unknown key", "map_size")),
+        ([{"view": "map"}], ("shadows.pins.0:", "one of algorithm, map_size")),
+        ([{"algorithm": {"lamp": "sweep"}}], ("shadows.pins.0.algorithm", "lamp", "a light (sun)")),
+        ([SWEEP, {"view": "map", "map_size": 512}], ("shadows.pins.1: 'view map'", "shadows.pins.0 (all views)")),
+        (
+            [{"sun_altitude_deg": suns, **SWEEP} for suns in ([0, 20], [20, 90], [5, 60])],
+            ("shadows.pins.2: 'all views, sun 5 to 60 degrees high'", "shadows.pins.0", "shadows.pins.1"),
+        ),
+        ([{"view": "map", **SWEEP}, {"view": "village", **SWEEP}, SWEEP], ("shadows.pins.2", "shadows.pins.1 (view village)")),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_pin_is_one_error(tmp_path, pins, words):
+    with pytest.raises(LevelError) as error:
+        loaded(tmp_path / "mine.yaml", *pins)
+    text = str(error.value)
+    assert "\n" not in text and text.count("mine.yaml") == 1
+    for word in words:
+        assert word in text
+
+
+def test_the_first_pin_that_holds_counts(tmp_path):
+    shadows = loaded(
+        tmp_path / "mine.yaml",
+        {"view": "village", "sun_altitude_deg": [5, 20], **SWEEP},
+        {"view": "village", "map_size": 512},
+        SWEEP,
+    )
+    numbers = [shadows.pin_for("village", altitude) for altitude in (4.9, 5, 12, 20, 20.1, None)]
+    assert numbers == [1, 0, 0, 0, 1, 1] and shadows.pin_for("map", 12) == 2
+    assert shadows.pins[1].settings == {"map_size": 512}
+
+
+def test_without_a_sun_only_a_pin_without_a_range_holds(tmp_path):
+    path, pins = tmp_path / "mine.yaml", ({"sun_altitude_deg": [-90, 90], **SWEEP}, {"map_size": 512})
+    assert loaded(path, *pins, sun="none").pin_for("map", None) == 1
+    with pytest.raises(LevelError, match=r"shadows\.pins\.1"):  # under any sun the first one holds
+        loaded(path, *pins)
+
+
+scopes = st.builds(
+    PinScope,
+    view=st.sampled_from([None, "map", "village"]),
+    sun_altitude_deg=st.none() | st.tuples(st.integers(-9, 9), st.integers(-9, 9)).filter(lambda r: r[0] < r[1]).map(
+        lambda r: (10.0 * r[0], 10.0 * r[1])
+    ),
+)  # fmt: skip
+
+
+@given(st.lists(scopes, max_size=6), st.booleans())
+def test_a_pin_is_in_vain_where_no_view_and_sun_is_left_for_it(pins, sunless):
+    """Against trying all views, and suns between the ends of all ranges."""
+    suns = [*np.arange(-89.0, 90.0, 2.0), *([None] if sunless else [])]
+    first = {
+        (view, sun): next((number for number, pin in enumerate(pins) if pin.holds(view, sun)), None)
+        for view in ("map", "village")
+        for sun in suns
+    }
+    vain = {number for number, _ in never_taken(pins, ("map", "village"), sunless)}
+    assert vain == set(range(len(pins))) - set(first.values())
+    for (view, sun), number in first.items():
+        for each in range(len(pins)) if sun is not None else ():
+            assert any(low <= sun <= high for low, high in suns_left(pins, each, view)) == (each == number)
