@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -36,6 +37,7 @@ class TileService:
         command = "from api.cli.main import main; main()"
         process = subprocess.Popen(
             [sys.executable, "-c", command, "serve", str(level), "--port", str(port)],
+            env={"SKUGGA_CALIBRATE_WHEN_IDLE": "false", **os.environ},  # the notebook beside it is not idle
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._said,
         )  # fmt: skip
         self._end = weakref.finalize(self, _end, process, self._said)
