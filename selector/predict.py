@@ -72,7 +72,7 @@ def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | N
     """What a plan is chosen from, before anything was seen."""
     unmeasured: dict[AlgorithmName, str] = {}
     lights = {}
-    for light in planner.descriptor.light_kinds:
+    for light in planner.lights:
         if kinds := planner.casting(light):
             options = predicted_choices(planner, light, kinds, device, errors, unmeasured)
             lights[light] = LightOptions.expected(options, errors)

@@ -105,7 +105,7 @@ class Frame:
         if light is None:
             return self
         if light not in self.visibilities:
-            raise InputError("light", light, ", ".join(self.visibilities))
+            raise InputError("light", light, f"lights that reach the view: {', '.join(self.visibilities)}")
         seen, shown = ({light: values[light], **values} for values in (self.visibilities, self.shown_visibilities))
         return replace(self, visibilities=seen, shown_visibilities=shown)
 

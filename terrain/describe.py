@@ -41,6 +41,9 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", p
         )
         for lamp in scene.lamps.values()
     )  # fmt: skip
+    effects = scene.loaded.level.effects
+    all_lamps = effects != "auto" and effects.get("lamps") == "on"
+    looked_at = [lamp.name for lamp in lamps if lamp.reaches or all_lamps]
     mean_deg, p95_deg, highest_deg = slopes_deg(scene.world, scene.elevation)
     trees = trees_of(scene, drawn)
     if isinstance(drawn, MapView):
@@ -61,7 +64,7 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", p
         mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
         highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.objects.tallest_m, weather=scene.loaded.level.weather,
-        lights=facts_of_lights(seen, _area_share(scene, own["receivers_light_m"])),
+        lights=facts_of_lights(seen, _area_share(scene, own["receivers_light_m"]), looked_at),
         facts={key: _known(effect.facts(scene, view, coarse_view)) for key, effect in EFFECTS.items() if effect.facts is not None},
         **own,
     )  # fmt: skip

@@ -12,6 +12,7 @@ from typing import Any
 from pydantic_core import PydanticCustomError
 
 from selector.choices import Choice, PlanRequest
+from selector.formatting import format_list
 from selector.planner.advice import choices_by_rules
 from selector.planner.asked import Asked, asked_of
 from shadows.algorithm import FALLS_BACK_FOR, AlgorithmSettings, Reasoned, Requirement, SettingsRequest, is_area, requirements_of
@@ -81,6 +82,20 @@ class Planner:
     _combinations: dict[tuple[object, ...], dict[CasterKind, AlgorithmName]] = field(default_factory=dict)
     _unique: dict[AlgorithmSettings | None, AlgorithmSettings | None] = field(default_factory=dict)
 
+    @cached_property
+    def lights(self) -> tuple[str, ...]:
+        """The lights that are planned for: the sun and the lamps; in a perspective view those alone that reach it, or all if lamps
+        are forced on. The plan of a map may stand for others of its scale.
+        """
+        return tuple(light for light in self.descriptor.light_kinds if light not in self._dark)
+
+    @cached_property
+    def _dark(self) -> dict[str, None]:
+        """The lamps that nothing is planned for, in order."""
+        if self.descriptor.view_kind == "map":
+            return {}
+        return dict.fromkeys(lamp.name for lamp in self.descriptor.lamps if not lamp.reaches and "lamps" not in self.forced)
+
     @property
     def asked(self) -> Shadows:
         """What is asked for, whoever asks."""
@@ -107,9 +122,7 @@ class Planner:
     def plan(self, choices: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
         """The plan that comes of choices by light. Raises as ``make_plan`` does."""
         descriptor, shadows, requester = self.descriptor, self.asked, self.request.who("algorithm")
-        assignments = [
-            assignment for light in descriptor.light_kinds for assignment in self._assignments(light, choices.get(light))
-        ]
+        assignments = [assignment for light in self.lights for assignment in self._assignments(light, choices.get(light))]
         reasons = [
             Reasoned(name=f"{assignment.light}/{assignment.kind}: {assignment.name}", reason=assignment.why)
             for assignment in assignments
@@ -125,6 +138,9 @@ class Planner:
                 reported.add((assignment.light, assignment.name))
             if kind_settings is not None:
                 settings.setdefault(assignment.light, {})[assignment.kind] = kind_settings
+        if self._dark:
+            dark = format_list(list(self._dark))
+            reasons.append(Reasoned(name="lamps left out", reason=f"no light from {dark} reaches the view"))
         reasons += _settings_asked_for(self.request, settings, reasons)
         if descriptor.pieces > 1 and settings:
             reasons.append(Reasoned(name="coarse pixels", reason=COARSE_PIXELS.format(side=descriptor.pieces)))

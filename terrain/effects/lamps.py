@@ -21,6 +21,9 @@ from terrain.scene import Scene
 from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of
 from terrain.srgb import srgb_of_linear
 
+NAMED_LAMPS = 8
+"""So many lamps are named in a sentence, at most."""
+
 
 def called_for(descriptor: Descriptor) -> Verdict:
     """Left out without lamps, and where the light of none of them can be seen."""
@@ -28,12 +31,14 @@ def called_for(descriptor: Descriptor) -> Verdict:
         return Verdict(False, "the level has no lamps")
     reaching = [lamp.name for lamp in descriptor.lamps if lamp.reaches]
     if not reaching:
-        return Verdict(False, f"no light from {_names(descriptor)} reaches the view")
-    return Verdict(True, f"light from {', '.join(reaching)} reaches the view")
+        return Verdict(False, f"no light from {_listed([lamp.name for lamp in descriptor.lamps])} reaches the view")
+    return Verdict(True, f"light from {_listed(reaching)} reaches the view")
 
 
-def _names(descriptor: Descriptor) -> str:
-    return ", ".join(lamp.name for lamp in descriptor.lamps)
+def _listed(names: list[str]) -> str:
+    """Names, of many the first."""
+    others = len(names) - NAMED_LAMPS
+    return ", ".join(names if others <= 1 else [*names[:NAMED_LAMPS], f"{others} others"])
 
 
 def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> bool:

@@ -7,6 +7,7 @@ shadow whatever else does.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,12 +64,15 @@ class ViewProbes:
     trees: TreeInstances | None
 
 
-def facts_of_lights(seen: ViewProbes, area_of_sun: float) -> dict[str, LightFacts]:
-    """The facts of all lights of a scene, by name, on what is seen; ``area_of_sun`` is the share of its light space."""
+def facts_of_lights(seen: ViewProbes, area_of_sun: float, lamps: Iterable[str]) -> dict[str, LightFacts]:
+    """The facts of the sun and of some lamps of a scene, by name, on what is seen; ``area_of_sun`` is the share of its light
+    space.
+    """
     found: dict[str, LightFacts] = {}
     if seen.scene.sun is not None:
         found[SUN] = _facts(seen, None, area_of_sun)
-    for name, lamp in seen.scene.lamps.items():
+    for name in lamps:
+        lamp = seen.scene.lamps[name]
         found[name] = _facts(seen, lamp, area_share_of_lamp(lamp, seen.probes))
     return found
 

@@ -29,7 +29,7 @@ from terrain.describe import describe
 from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.ground.generated_ground import ENGINEERING
-from terrain.level.level import SUN, Level, SunSpec, load_level
+from terrain.level.level import SUN, Level, Pin, SunSpec, load_level
 from terrain.scene import Scene, build_scene
 
 Place = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -332,3 +332,38 @@ def test_a_camera_at_a_tie_switches_only_without_hysteresis(scene, level, monkey
 def test_each_further_switch_takes_more_patience(scene, level):
     """What is expected swings by half, longer than is waited for at first and the second time, and not the third time."""
     assert crossings(moment(scene, UNDER).descriptor, level, swing=0.5, frames=3 * PATIENCE, runs=10) == 2
+
+
+def day(scene: Scene, place: Place) -> list[Moment]:
+    """A view at rest from before sunrise to after sunset, every five minutes of thirteen hours."""
+    moments, hours = [], np.arange(-0.5, 12.5 + 1e-9, 5.0 / 60.0)
+    for hour in hours.tolist():
+        sun = SunSpec(azimuth=90.0 + 15.0 * hour, altitude=float(np.degrees(np.arcsin(0.77 * np.sin(np.pi * hour / 12.0)))))
+        moments.append(moment(scene.with_sun(sun), place))
+    return moments
+
+
+@pytest.mark.parametrize("place", [ACROSS, pytest.param(UNDER, marks=pytest.mark.long)], ids=["houses and wood", "in the wood"])
+def test_a_view_at_rest_keeps_its_plan_through_a_day(scene, level, place):
+    """However often another plan would be a little better: at most two switches more than what casts changes."""
+    moments, director = day(scene, place), Replanner(plans=predicted)
+    plans = [director.plan(each.descriptor, level) for each in moments]
+    anew = [predicted(each.descriptor, level) for each in moments]
+    assert casting(plans[0])[SUN] == casting(plans[-1])[SUN] == frozenset() and "forest" in casting(plans[len(plans) // 2])[SUN]
+    assert changes(plans) == changes(anew) and changes(plans)[-1] >= 2
+    assert switches(plans)[-1] <= changes(plans)[-1] + 2
+    assert switches(anew)[-1] > switches(plans)[-1], "else nothing is tested"
+
+
+def test_with_pins_the_switch_is_where_they_say(scene, level):
+    """In the plan of the first sun beyond the border, and nowhere else, without a mixture."""
+    low = Pin(sun_altitude_deg=(0.0, 20.0), algorithm={"relief": "sweep", "meshes": "hybrid", "forest": "shadow_map"}, map_size=512)
+    high = Pin(sun_altitude_deg=(20.0, 90.0), algorithm="shadow_map", map_size=1024, cascades=1)
+    pinned = level.model_copy(update={"shadows": level.shadows.model_copy(update={"pins": (low, high)})})
+    director, moments = Replanner(plans=predicted), day(scene, ACROSS)[::3]
+    for each in moments:
+        plan, altitude = director.plan(each.descriptor, pinned), each.descriptor.sun_altitude_deg
+        names = {name for (_, kind), (name, *_) in chosen(plan).items() if kind in ("relief", "meshes")}
+        if names:
+            assert names <= ({"sweep", "hybrid"} if altitude <= 20.0 else {"shadow_map"}) and director.handover is None
+    assert any(each.descriptor.sun_altitude_deg <= 20.0 for each in moments)
