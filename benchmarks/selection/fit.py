@@ -128,7 +128,10 @@ def cases_of(view: Figures) -> list[FitCase]:
 
 
 def fit_model(cases: Sequence[FitCase], device: DeviceProfile | None = None) -> ErrorModel:
-    """The constants that fit measured rows; those of times, too, with the calibration of the device that measured them."""
+    """The constants that fit measured rows; those of times, too, with the calibration of the device that measured them. Views
+    whose targets go by coverage are left out.
+    """
+    cases = [case for case in cases if case.view["error"] != "coverage"]  # that is another figure, and no model's
     mapped = [case for case in cases if case.algorithms & set(MAP_ALGORITHMS) and not case.error_groups & {"planar", DECIMATED}]
     terms, measured = _Terms(mapped), np.log(np.array([case.error for case in mapped]) + LEAST)
 

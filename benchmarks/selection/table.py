@@ -38,31 +38,31 @@ def read_table(path: Path = TABLE) -> tuple[list[Figures], DeviceProfile]:
 
 
 def _packed(view: Figures) -> Figures:
-    """The record without defaults and names of columns; rows are told by their number in ``picks``."""
+    """The record without defaults and names of columns; rows are told by their number in ``picks`` and ``probe``."""
     names = list(view["rows"])
     descriptor = Descriptor.model_validate(view["descriptor"]).model_dump(mode="json", exclude_defaults=True)
-    return view | {
+    probe = _with_rows(view, lambda rows: {str(names.index(row)): its for row, its in rows if row in names})
+    return view | probe | {
         "descriptor": _rounded(descriptor),
         "rows": {name: [row[column] for column in ROW_COLUMNS] for name, row in view["rows"].items()},
         "picks": {choice: names.index(row) for choice, row in view["picks"].items() if row in names},
-        "probe": _with_rows(
-            view.get("probe") or {}, lambda rows: {str(names.index(row)): its for row, its in rows if row in names}
-        ),
-    }
-
-
-def _with_rows(probe: Figures, renamed: Callable[[Iterable[tuple[str, Any]]], Figures]) -> Figures:
-    """What probes see of a view, its rows by other names, all with few digits."""
-    return probe and {**_rounded(probe, PROBE_DIGITS), "rows": renamed(_rounded(probe["rows"], PROBE_DIGITS).items())}
+    }  # fmt: skip
 
 
 def _unpacked(line: Figures) -> Figures:
     names = list(line["rows"])
-    return line | {
+    return line | _with_rows(line, lambda rows: {names[int(number)]: its for number, its in rows}) | {
         "rows": {name: dict(zip(ROW_COLUMNS, row, strict=True)) for name, row in line["rows"].items()},
         "picks": {choice: names[number] for choice, number in line["picks"].items()},
-        "probe": _with_rows(line.get("probe") or {}, lambda rows: {names[int(number)]: its for number, its in rows}),
-    }
+    }  # fmt: skip
+
+
+def _with_rows(view: Figures, renamed: Callable[[Iterable[tuple[str, Any]]], Figures]) -> Figures:
+    """What probes see of a view, if it was recorded, its rows by other names, all with few digits."""
+    if not view.get("probe"):
+        return {}
+    probe = _rounded(view["probe"], PROBE_DIGITS)
+    return {"probe": {**probe, "rows": renamed(probe["rows"].items())}}
 
 
 def _rounded(value: Any, digits: int = DIGITS) -> Any:

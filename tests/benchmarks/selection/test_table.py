@@ -45,6 +45,7 @@ def viewed(name: str = "a map", count: int = 3) -> dict[str, Any]:
     return {
         "name": name, "terrain": "made", "light": SUN, "error": "wrong_cast", "noise_floor": 1e-4, "plan_ms": 20.25, "rows": rows,
         "picks": choices, "measured": {"3 %": "shadow_map-1"}, "descriptor": described().model_dump(mode="json"),
+        "probe": {"start_s": 0.5, "points_s": [0.25], "rows": {"shadow_map-1": {"ms": 2.5, "draw_s": 0.0, "proofs": [[0.125, 3]]}}},
     }  # fmt: skip
 
 
@@ -85,7 +86,7 @@ def test_every_line_that_is_kept_is_a_descriptor_with_rows_that_can_be(kept):
     for line in lines:
         descriptor = Descriptor.model_validate(line["descriptor"])
         assert line["light"] in descriptor.lights and line["renderer"] == device["renderer"], line["name"]
-        assert line["error"] in ("wrong_cast", "wrong") and line["noise_floor"] >= 0.0 and line["plan_ms"] > 0.0
+        assert line["error"] in ("wrong_cast", "wrong", "coverage") and line["noise_floor"] >= 0.0 and line["plan_ms"] > 0.0
         for row in line["rows"].values():
             its = dict(zip(ROW_COLUMNS, row, strict=True))
             assert its["bytes"] >= 0 and (its["ms"] > 0.0) == bool(its["algorithms"]), line["name"]
