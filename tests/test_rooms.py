@@ -69,7 +69,7 @@ MAY_IMPORT = {
     "selector.belief": "",
     "selector.expected_loss": "belief ranking",
     "selector.portfolio": "choices mixes",
-    "selector.planner": "choices",
+    "selector.planner": "choices formatting",
     "selector.cost": "belief",
     "selector.candidates": "mixes planner",
     "selector.pin": "choices planner",
