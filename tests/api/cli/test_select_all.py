@@ -93,7 +93,7 @@ def test_wrong_input_is_one_line(run, level, arguments, words):
 
 
 def test_validate_looks_at_pins_under_their_suns(run, level):
-    pins = "  pins: [{view: eye, algorithm: sweep}, {view: map, sun_altitude_deg: [40, 60], algorithm: perspective_shadow_map}]\n"
+    pins = "  pins: [{view: eye, algorithm: hybrid}, {view: map, sun_altitude_deg: [40, 60], algorithm: perspective_shadow_map}]\n"
     level.write_text(LEVEL + pins)
     status, _, err = run("validate", str(level))
     assert status != 0 and "shadows.pins.1.algorithm" in err and "in view map" in err
