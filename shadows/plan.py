@@ -43,8 +43,8 @@ class Target(_Value):
 
 
 class Predicted(_Value):
-    """Expected (under ``measure``: measured) milliseconds of a block's shadow work, the share of all pixels that is wrong, and the
-    share of the cast shadow, which a target counts.
+    """Expected (under ``measure``: measured; under ``probe``: corrected by what was drawn) milliseconds of a block's shadow work,
+    the share of all pixels that is wrong, and the share of the cast shadow, which a target counts.
     """
 
     ms: float

@@ -90,7 +90,7 @@ def format_expectation(plan: Plan) -> str:
     target = format_target(plan.target)
     if plan.predicted is None:
         return f"Time and error are not predicted. Asked for: {target}."
-    verb = "Measured" if plan.policy in ("probe", "measure") else "Expected"
+    verb = {"measure": "Measured", "probe": "By the probe"}.get(plan.policy, "Expected")
     text = (
         f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, "
         f"{format_percent(plan.predicted.wrong_cast)} of the cast shadow wrong."

@@ -15,6 +15,7 @@ from math import sqrt
 import numpy as np
 
 from selector.measure.footprint import texel_footprint_px
+from selector.measure.probing import SURE_Z
 from selector.measure.view_truth import TRUTH_SAMPLES
 from shadows.attached import attached
 from shadows.plan import Step
@@ -29,9 +30,6 @@ from terrain.scene import Scene
 
 LATTICE_POINTS = 10_000
 """Points of a lattice, at least, and less than four times as many."""
-
-CONFIDENCE_Z = 1.96
-"""Standard errors within which a share lies in 95 of 100 cases."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class PointCounts:
         return self.decided, self.wrong, self.cast, self.wrong_cast, self.inside
 
 
-def share_interval(part: int, total: int, z: float = CONFIDENCE_Z) -> tuple[float, float]:
+def share_interval(part: int, total: int, z: float = SURE_Z) -> tuple[float, float]:
     """Between which limits a share lies of which ``part`` of ``total`` were seen, by E. B. Wilson's score (Probable inference, the
     law of succession, and statistical inference, 1927); 0 and 1 of nothing.
     """

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from selector.measure.compare import DrawnBlock, drawn_on, run_light
-from selector.measure.point_truth import CONFIDENCE_Z, Lattice, PictureTruth, PointCounts, share_interval
-from selector.measure.probing import Proof
+from selector.measure.point_truth import Lattice, PictureTruth, PointCounts, share_interval
+from selector.measure.probing import SURE_Z, Proof
 from selector.measure.view_truth import FOGGY, View
 from selector.options import LightOptions
 from selector.planner.planner import Planner
@@ -153,7 +153,7 @@ class SceneProver:
             for part, shares in zip(self._parts[which], self._shares, strict=True)
         ])  # fmt: skip
         off = off[np.isfinite(off)]
-        mean, half = (float(off.mean()), CONFIDENCE_Z * float(off.std()) / max(len(off), 1) ** 0.5) if len(off) else (0.0, 1.0)
+        mean, half = (float(off.mean()), SURE_Z * float(off.std()) / max(len(off), 1) ** 0.5) if len(off) else (0.0, 1.0)
         half = 0.0 if self._doublings == MOST_DOUBLINGS else half
         inside = proof_of(total, self._all_known)
         return Proof(

@@ -33,7 +33,7 @@ export function expectation({ policy, predicted, target, reasons }) {
     const why = reasons.find(({ name }) => name.startsWith('policy'))?.reason;
     return `${why ? `${capital(why)}. ` : ''}Time and error are not predicted; asked for: ${asked}.`;
   }
-  const said = `${policy === 'measure' || policy === 'probe' ? 'Measured' : 'Expected'}: ${duration(predicted.ms)} of shadow work for a block of 1024 pixels, `
+  const said = `${policy === 'measure' ? 'Measured' : 'Expected'}: ${duration(predicted.ms)} of shadow work for a block of 1024 pixels, `
     + `${percent(predicted.wrong_cast)} of the cast shadow wrong.`;
   if (target.met === null) return `${said} Asked for: ${asked}.`;
   if (target.met) return `${said} That meets the target: ${asked}.`;
