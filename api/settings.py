@@ -61,6 +61,11 @@ class Settings(BaseSettings):
         default=True,
         description="Whether a device without a calibration is calibrated while nothing is drawn; else `skugga calibrate` does it.",
     )
+    probe_when_idle: bool = Field(
+        default=True,
+        description="Whether levels that maps are drawn of are probed while nothing is drawn; else `skugga select --all-scales "
+        "--write` does it.",
+    )
     recycle_blocks: int = Field(default=1000, ge=1, description="Blocks and snapshots after which a render process is replaced.")
     block_cache_bytes: int = Field(default=64 * 2**20, ge=0, description="Memory for blocks of tiles, encoded, and snapshots.")
     tile_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for tiles as they were sent (some 60 KiB each).")

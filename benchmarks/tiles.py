@@ -154,7 +154,9 @@ def skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[
         return f"/levels/cog/tiles/WebMercatorQuad/{z}/{x}/{y}.png?azimuth={sun[0]:g}&altitude={sun[1]:g}"
 
     command = [sys.executable, "-c", "from api.cli.main import main; main()", "serve", str(level), "--port", str(port)]
-    return service(command, port, "/readyz", path, PYTHONPATH=str(ROOT), SKUGGA_CALIBRATE_WHEN_IDLE="false")
+    return service(
+        command, port, "/readyz", path, PYTHONPATH=str(ROOT), SKUGGA_CALIBRATE_WHEN_IDLE="false", SKUGGA_PROBE_WHEN_IDLE="false"
+    )
 
 
 def titiler(cog: Path, python: Path, port: int = 8782) -> AbstractContextManager[Running]:

@@ -29,11 +29,18 @@ NOT_PREDICTED = "nothing can be predicted, so the rules decide"
 
 @dataclass(frozen=True, eq=False)
 class PlanOptions:
-    """What a plan is chosen from: the options of each light that casts shadows, and why algorithms are not among them."""
+    """What a plan is chosen from: the options of each light that casts shadows, and why algorithms are not among them; ``seen_as``
+    is the word for what is known of those that were seen.
+    """
 
     planner: Planner
     lights: Mapping[str, LightOptions]
     unmeasured: Mapping[AlgorithmName, str] = field(default_factory=dict)
+    seen_as: str = "measured"
+
+    def how(self, light: str, which: int) -> str:
+        """How what is said of an option is known."""
+        return self.seen_as if which in self.lights[light].seen else "expected"
 
     @property
     def max_error(self) -> float:
@@ -63,9 +70,32 @@ def predicted_plan(
 
     Raises ``InputError`` and ``UnsupportedError`` as ``make_plan`` does.
     """
-    options = plan_options(planner_of(descriptor, plan_request, overrides), device, errors)
-    corrected = {light: its.after((seen or {}).get(light, ())) for light, its in options.lights.items()}
-    return plan_of(replace(options, lights=corrected), "predict")
+    expected = plan_options(planner_of(descriptor, plan_request, overrides), device, errors)
+    if not seen:
+        return plan_of(expected, "predict")
+    corrected = {light: its.after(seen.get(light, ())) for light, its in expected.lights.items()}
+    options = replace(expected, lights=corrected, seen_as="probed")
+    return plan_of(options, "predict", _changed(expected, options))
+
+
+def _changed(before: PlanOptions, after: PlanOptions) -> list[Reasoned]:
+    """What was seen of choices, and what that changed."""
+    reasons: list[Reasoned] = []
+    if not all(its.numbers for its in after.lights.values()):
+        return reasons
+    for light, its in after.lights.items():
+        if not its.seen:
+            continue
+        shown = [f"{each.choice} {format_percent(each.error)} wrong in {format_duration(each.ms)}" for each in its.seen.values()]
+        was, now = (options.lights[light].options[_winner(options, light)].choice.name for options in (before, after))
+        verdict = f"{now} as without it" if was == now else f"{now} in place of {was}"
+        reasons.append(Reasoned(name=f"{light}: probe", reason=f"maps like this one were probed: {', '.join(shown)}; {verdict}"))
+    return reasons
+
+
+def _winner(options: PlanOptions, light: str) -> int:
+    its, max_error = options.lights[light], options.max_error
+    return its.number(least_expected_loss(its.forecasts(max_error), max_error, options.shares_ms()[light]).winner.name)
 
 
 def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | None = None) -> PlanOptions:
@@ -120,8 +150,9 @@ def _with_words(options: PlanOptions, light: str, which: int, verdict: RankingRe
     """The choice with the reasons for it."""
     its, max_error = options.lights[light], options.max_error
     winner, figures = its.options[which], its.figures(which)
-    how = "measured" if which in its.seen else "expected"
-    expectation = f"{format_percent(figures.error)} of the cast shadow wrong in {format_duration(figures.ms)} {how}"
+    expectation = (
+        f"{format_percent(figures.error)} of the cast shadow wrong in {format_duration(figures.ms)} {options.how(light, which)}"
+    )
     settings = " ".join(f"{key} {value}" for key, value in winner.choice.settings.items())
     if not verdict.met:
         why = f"{expectation}: nothing is expected to meet the target, and this comes nearest"
@@ -163,7 +194,7 @@ def _rejected(options: PlanOptions, winners: Mapping[str, int]) -> dict[Algorith
                 continue
             verdict = least_expected_loss([its.forecast(number, max_error) for number in numbers], max_error)
             nearest = its.number(verdict.winner.name)
-            how = "measured" if nearest in its.seen else "expected"
+            how = options.how(light, nearest)
             if verdict.met:
                 reasons[name] = (
                     f"{how}: {format_duration(verdict.winner.ms)} with {verdict.winner.name}, {_chance(its, nearest, max_error)}; "
@@ -178,7 +209,7 @@ def _missed(options: PlanOptions, winners: Mapping[str, int], verdicts: Mapping[
     return [
         Reasoned(
             name=f"{light}: target missed",
-            reason=f"{'measured' if winners[light] in options.lights[light].seen else 'expected'}: {verdict.missed_by}",
+            reason=f"{options.how(light, winners[light])}: {verdict.missed_by}",
         )
         for light, verdict in verdicts.items()
         if not verdict.met

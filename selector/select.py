@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from selector.choices import PlanRequest, PolicyName
@@ -17,6 +18,7 @@ from terrain.scene import Scene
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
+    from selector.options import Seen
 
 UNCALIBRATED = "this device is not calibrated, so fixed rules choose (to get predictions, run skugga calibrate)"
 
@@ -27,9 +29,10 @@ def select(
     overrides: dict[str, Any] | None = None,
     policy: PolicyName = "predict",
     device: DeviceProfile | None = None,
+    seen: Mapping[str, Sequence[Seen]] | None = None,
 ) -> Plan:
     """The plan of a view by the policy ``rules`` or ``predict``; without a device's calibration ``predict`` falls back to
-    ``rules``, and the plan says so.
+    ``rules``, and the plan says so. ``seen`` is what was seen of choices before, by light.
 
     Raises ``InputError`` for what is wrong, ``measure`` among it, and ``UnsupportedError`` for what cannot be served.
     """
@@ -38,7 +41,7 @@ def select(
     if policy == "predict" and device is not None:
         from selector.predict import predicted_plan
 
-        return predicted_plan(descriptor, plan_request, overrides, device)
+        return predicted_plan(descriptor, plan_request, overrides, device, seen=seen)
     plan = make_plan(descriptor, plan_request, overrides)
     if policy == "rules":
         return plan
@@ -53,13 +56,14 @@ def plan_of_view(
     policy: PolicyName = "predict",
     device: DeviceProfile | None = None,
     budget_s: float | None = None,
+    seen: Mapping[str, Sequence[Seen]] | None = None,
 ) -> Plan:
-    """The plan of a scene's view by any policy; ``budget_s`` is the time of the policy ``probe``, seconds. Raises as ``select``
-    does.
+    """The plan of a scene's view by any policy; ``budget_s`` is the time of the policy ``probe``, seconds, and ``seen`` what was
+    seen of choices before, by light, of which ``predict`` makes use. Raises as ``select`` does.
     """
     if policy in ("probe", "measure"):
         from selector.measure.probe import DEFAULT_BUDGET_S, probed_plan
 
         budget_s = None if policy == "measure" else budget_s or DEFAULT_BUDGET_S
         return probed_plan(scene, view, name, overrides, device=device, budget_s=budget_s).plan
-    return select(describe(scene, view, name), scene.loaded.level, overrides, policy, device)
+    return select(describe(scene, view, name), scene.loaded.level, overrides, policy, device, seen)

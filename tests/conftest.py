@@ -61,6 +61,7 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SKUGGA_CALIBRATE_WHEN_IDLE", "false")
+        patch.setenv("SKUGGA_PROBE_WHEN_IDLE", "false")
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
         yield
 
@@ -83,7 +84,11 @@ def _forked_render_processes(_own_cache: None) -> Iterator[None]:
 def _clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Settings of the machine must not reach a test."""
     for name in os.environ:
-        if name.startswith("SKUGGA_") and name not in ("SKUGGA_EXPECT_RENDERER", "SKUGGA_CALIBRATE_WHEN_IDLE"):
+        if name.startswith("SKUGGA_") and name not in (
+            "SKUGGA_EXPECT_RENDERER",
+            "SKUGGA_CALIBRATE_WHEN_IDLE",
+            "SKUGGA_PROBE_WHEN_IDLE",
+        ):
             monkeypatch.delenv(name)
 
 

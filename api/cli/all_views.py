@@ -14,20 +14,19 @@ from api.cli.snapshot import scene_and_view
 from api.report.plan_text import POLICIES, format_expectation, format_sun, format_view_and_sun
 from selector.formatting import format_duration, format_percent
 from selector.pin import PIN_COMMENT, PINS, pin, pins
+from shadows.plan import Plan
 from shadows.registry import NO_SHADOWS
 from terrain.describe import describe
 from terrain.errors import InputError
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 
-NOT_BESIDE = "nothing beside --all-views: each view is as the level has it"
 
-
-def refuse_beside(view: str, asked: dict[str, object]) -> None:
-    """Raise ``InputError`` for options of one view that are given beside ``--all-views``."""
+def refuse_beside(option: str, view: str, asked: dict[str, object]) -> None:
+    """Raise ``InputError`` for options of one view that are given beside one that means many of them."""
     for name, value in ({"view": None if view == "map" else view} | asked).items():
         if value is not None:
-            raise InputError(f"--{name}", str(value), NOT_BESIDE)
+            raise InputError(f"--{name}", str(value), f"nothing beside {option}: what is drawn is as the level has it")
 
 
 def plan_all_views(
@@ -54,7 +53,7 @@ def pin_all(choices: Sequence[PlannedView]) -> str:
 
     Raises ``LevelError`` for a file that cannot be written, ``InputError`` where nothing casts in any view.
     """
-    casting = [choice for choice in choices if _casts(choice)]
+    casting = [choice for choice in choices if casts(choice.plan)]
     path = choices[0].path
     if not casting:
         raise InputError("--write", "all views", "a sun with a cast shadow in some view")
@@ -64,7 +63,9 @@ def pin_all(choices: Sequence[PlannedView]) -> str:
     ]
     policies = dict.fromkeys(POLICIES[choice.plan.policy] for choice in casting)
     why = [f"{PIN_COMMENT.removeprefix('#: ')} on {date.today().isoformat()}, {' and '.join(policies)}."]
-    why += [f"{format_view_and_sun(each.scene, each.plan)}: {_choice(each)}. {format_expectation(each.plan)}" for each in casting]
+    why += [
+        f"{format_view_and_sun(each.scene, each.plan)}: {choice_of(each.plan)}. {format_expectation(each.plan)}" for each in casting
+    ]
     pin(path, {PINS: chosen}, why)
     return f"Pinned into {path}: {', '.join(f'{each.plan.view} {each.plan.headline}' for each in casting)}."
 
@@ -76,10 +77,8 @@ def table_of(choices: Sequence[PlannedView]) -> Table:
         table.add_column(name, justify="right")
     table.add_column("target")
     for choice in choices:
-        plan, predicted = choice.plan, choice.plan.predicted
-        figures = ("", "") if predicted is None else (format_duration(predicted.ms), format_percent(predicted.wrong_cast))
-        met = {True: "met", False: "missed", None: "not predicted"}[plan.target.met] if _casts(choice) else ""
-        table.add_row(plan.view, format_sun(choice.scene.sun).removeprefix("the sun "), _choice(choice), *figures, met)
+        sun = format_sun(choice.scene.sun).removeprefix("the sun ")
+        table.add_row(choice.plan.view, sun, *cells_of(choice.plan))
     return table
 
 
@@ -89,26 +88,43 @@ def rows_of(choices: Sequence[PlannedView]) -> list[dict[str, Any]]:
         {
             "view": choice.plan.view,
             "sun": None if (sun := choice.scene.sun) is None else {"azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg},
-            "choice": _choice(choice),
-            "ms": None if (predicted := choice.plan.predicted) is None else predicted.ms,
-            "error": None if predicted is None else predicted.wrong_cast,
-            "met": choice.plan.target.met,
-            "plan": choice.plan.model_dump(mode="json"),
+            **facts_of(choice.plan),
         }
         for choice in choices
     ]
 
 
-def _choice(choice: PlannedView) -> str:
+def facts_of(plan: Plan) -> dict[str, Any]:
+    """What a row says of a plan, as values for JSON, with the whole plan."""
+    predicted = plan.predicted
+    return {
+        "choice": choice_of(plan),
+        "ms": None if predicted is None else predicted.ms,
+        "error": None if predicted is None else predicted.wrong_cast,
+        "met": plan.target.met,
+        "plan": plan.model_dump(mode="json"),
+    }
+
+
+def cells_of(plan: Plan) -> tuple[str, str, str, str]:
+    """What a table says of a plan: choice, what is expected of it (time and error), and whether it meets the target."""
+    predicted = plan.predicted
+    time, error = ("", "") if predicted is None else (format_duration(predicted.ms), format_percent(predicted.wrong_cast))
+    met = {True: "met", False: "missed", None: "not predicted"}[plan.target.met] if casts(plan) else ""
+    return choice_of(plan), time, error, met
+
+
+def choice_of(plan: Plan) -> str:
     """Algorithms, and the settings of maps that are one for all, as ``shadow_map 2048``."""
-    if not _casts(choice):
+    if not casts(plan):
         return NO_SHADOWS
-    asked = [step.settings.asked_as.get("map_size") for step in choice.plan.steps if step.settings is not None]
-    return " ".join([choice.plan.headline, *(str(size) for size in dict.fromkeys(asked) if size is not None)])
+    asked = [step.settings.asked_as.get("map_size") for step in plan.steps if step.settings is not None]
+    return " ".join([plan.headline, *(str(size) for size in dict.fromkeys(asked) if size is not None)])
 
 
-def _casts(choice: PlannedView) -> bool:
-    return any(name != NO_SHADOWS for kinds in choice.plan.algorithm.values() for name in kinds.values())
+def casts(plan: Plan) -> bool:
+    """Whether a plan draws any shadows."""
+    return any(name != NO_SHADOWS for kinds in plan.algorithm.values() for name in kinds.values())
 
 
 def _level(choice: PlannedView) -> Any:

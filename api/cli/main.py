@@ -280,6 +280,14 @@ def select(
     all_views: Annotated[
         bool, typer.Option("--all-views", help="Choose for each view of the level, and for its tiles (map); prints a table.")
     ] = False,
+    all_scales: Annotated[
+        bool,
+        typer.Option(
+            "--all-scales",
+            help="Probe the level's maps and tiles at all their scales; prints a table. --write keeps what was seen in the user's "
+            "cache: services make plans of tiles by it.",
+        ),
+    ] = False,
     descriptor: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write the facts of the view to a file; POST /plan accepts it.")
     ] = None,
@@ -298,10 +306,16 @@ def select(
 
     check_targets(level, [("--descriptor", descriptor)])
     overrides = overrides_of("select", asked)
-    if all_views:
+    if all_views or all_scales:
         from api.cli.all_views import refuse_beside
 
-        refuse_beside(view, {"size": size, "bounds": bounds, "crs": crs, "descriptor": descriptor})
+        option = "--all-views" if all_views else "--all-scales"
+        refuse_beside(option, view, {"size": size, "bounds": bounds, "crs": crs, "descriptor": descriptor})
+    if all_scales:
+        refuse_beside("--all-scales", view, {"all-views": all_views or None, "seconds": seconds})
+        _probe_all_scales(level, policy, overrides, parse_sun(time, azimuth, altitude), budget, as_json, write)
+        return
+    if all_views:
         _select_all(level, policy, budget, overrides, parse_sun(time, azimuth, altitude), seconds, as_json, write)
         return
     view_options = parse_sun(time, azimuth, altitude), _size(size), _bounds(bounds), crs, seconds
@@ -336,6 +350,23 @@ def _select_all(
         typer.echo(json.dumps(rows_of(choices), indent=2))
     else:
         Console(width=None if sys.stdout.isatty() else 200).print(table_of(choices))
+    if message is not None:
+        typer.echo(message, err=True)
+
+
+def _probe_all_scales(
+    level: LevelSource, policy: str, overrides: dict[str, Any], sun: SunSpec | None, budget: str | None, as_json: bool, write: bool
+) -> None:
+    from rich.console import Console
+
+    from api.cli.all_scales import probe_all_scales, rows_of_scales, table_of_scales
+
+    with _waiting("Probing at all scales"):
+        plans, message = probe_all_scales(level, policy, overrides, sun, budget, write)
+    if as_json:
+        typer.echo(json.dumps(rows_of_scales(plans), indent=2))
+    else:
+        Console(width=None if sys.stdout.isatty() else 200).print(table_of_scales(plans))
     if message is not None:
         typer.echo(message, err=True)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import hashlib
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from terrain.level.level import LoadedLevel
@@ -27,6 +28,12 @@ def watched_files(loaded: LoadedLevel) -> tuple[Path, ...]:
 def file_stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:
     """The stamp of each file."""
     return tuple(_stamp(path) for path in files)
+
+
+def level_version(loaded: LoadedLevel, stamps: Sequence[Stamp]) -> str:
+    """The version of a level whose watched files have these stamps: it changes with its text and with the files that it names."""
+    text = repr((loaded.digest, tuple(stamps[1:])))  # the level's own text is in the digest
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _stamp(path: Path) -> Stamp:

@@ -30,6 +30,7 @@ async def healthz(service: TheService) -> JSONResponse:
 async def readyz(service: TheService) -> JSONResponse:
     """503 until a render process has warmed up, and while none runs. `calibration` says whether plans go by predictions:
     `calibrated`; `waiting` (for an idle service), `running`, `paused`; `failed`, `off`, `none` (no device to calibrate).
+    `probes_waiting` is how many levels, each under a class of suns, are still to be probed while nothing is drawn.
     """
     pool = service.pool
     if not pool.ready:
@@ -41,6 +42,7 @@ async def readyz(service: TheService) -> JSONResponse:
             "workers": len(pool.pids),
             "queued": pool.queued,
             "calibration": pool.calibrating.state,
+            "probes_waiting": pool.probing.waiting,
         },
         headers=_UNCACHED,
     )

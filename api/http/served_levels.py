@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import threading
@@ -15,7 +14,7 @@ from typing import Any
 from pyproj import CRS
 
 from api.errors import NotServedError
-from api.http.file_stamps import Stamp, file_stamps, watched_files
+from api.http.file_stamps import Stamp, file_stamps, level_version, watched_files
 from api.http.level_checks import LevelCheck
 from api.http.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
 from api.layers import MAP_LAYERS, PICTURE_LAYERS
@@ -321,8 +320,7 @@ def _served(
         cell_m = scene.elevation.cell_size_m(world.metres_per_unit)
         zooms_by_set = {name: zoom_range(matrix_set, world, bounds, cell_m) for name, matrix_set in served_matrix_sets().items()}
         zooms = {name: range_ for name, range_ in zooms_by_set.items() if range_ is not None}
-    text = repr((loaded.digest, stamps[1:]))  # the level's own text is in the digest
-    version = hashlib.sha256(text.encode()).hexdigest()[:16]
+    version = level_version(loaded, stamps)
     view_sizes = {name: _view_size(scene, name) for name in {"map": None, **loaded.level.views}}
     for text in scene.warnings:
         log.warning("level %s: %s", loaded.name, text)

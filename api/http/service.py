@@ -39,10 +39,11 @@ class Service:
     metrics: ServiceMetrics
 
     def fresh_s(self, request: Request, otherwise_s: int) -> int:
-        """How many seconds a picture is fresh: a minute while the device is to be calibrated, so that clients do not join pictures
-        of other plans with it for long.
+        """How many seconds a picture is fresh: a minute while the device is to be calibrated or levels are to be probed, so that
+        clients do not join pictures of other plans with it for long.
         """
-        return fresh_for(request, min(otherwise_s, FACTS_S) if self.pool.calibrating.expected else otherwise_s)
+        soon_others = self.pool.calibrating.expected or self.pool.probing.waiting
+        return fresh_for(request, min(otherwise_s, FACTS_S) if soon_others else otherwise_s)
 
     async def level(self, name: str) -> ServedLevel:
         """A level as it is now. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""

@@ -21,6 +21,8 @@ from terrain.errors import RenderError
 READY_S = 600.0
 """How long it may take to start: with empty caches it compiles for some minutes."""
 
+WHEN_IDLE = "SKUGGA_CALIBRATE_WHEN_IDLE", "SKUGGA_PROBE_WHEN_IDLE"
+
 ASKED_EVERY_S = 0.1
 
 
@@ -37,7 +39,7 @@ class TileService:
         command = "from api.cli.main import main; main()"
         process = subprocess.Popen(
             [sys.executable, "-c", command, "serve", str(level), "--port", str(port)],
-            env={"SKUGGA_CALIBRATE_WHEN_IDLE": "false", **os.environ},  # the notebook beside it is not idle
+            env={**dict.fromkeys(WHEN_IDLE, "false"), **os.environ},  # the notebook beside it is not idle
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._said,
         )  # fmt: skip
         self._end = weakref.finalize(self, _end, process, self._said)

@@ -21,6 +21,7 @@ from terrain.level.parts import SunSpec
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
+    from selector.map_probes import MapClass
     from terrain.scene import Scene
 
 ServedPolicy = Literal["rules", "predict"]
@@ -249,7 +250,8 @@ class BlockTiles:
     """The tiles of a block, by row and column in it, in one layer and format; ``drawn`` for this answer, or kept.
 
     ``headline`` are the plan's algorithms as in overrides; ``passes`` are names with milliseconds; the caster reach is in metres,
-    ``None`` where each of many suns had its own; ``renderer`` drew it, by plans of a version (``PlanBasis``).
+    ``None`` where each of many suns had its own; ``renderer`` drew it, by plans of a version (``PlanBasis``). ``unprobed`` is
+    the class of a map whose plan goes by predictions alone (``api.workers.map_plans``).
     """
 
     tiles: dict[tuple[int, int], bytes]
@@ -262,6 +264,7 @@ class BlockTiles:
     renderer: str
     plan_version: str = ""
     drawn: bool = True
+    unprobed: MapClass | None = None
 
     @property
     def nbytes(self) -> int:

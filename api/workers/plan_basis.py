@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 from api.device_calibration import digest_of
@@ -13,14 +13,17 @@ from api.workers.jobs import LevelKey
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
+    from selector.map_probes import MapProbes
 
 
 @dataclass(frozen=True)
 class PlanBasis:
-    """The device's calibration, and by level what was ``probed`` for it alone, as text. A value: another one takes its place."""
+    """The device's calibration, and by versions of levels what was ``probed`` for each alone, as JSON of
+    ``selector.map_probes.MapProbes``. A value: another one takes its place.
+    """
 
     device: DeviceProfile | None = None
-    probed: Mapping[LevelKey, str] = field(default_factory=dict)
+    probed: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def calibration(self) -> str:
@@ -31,12 +34,22 @@ class PlanBasis:
         """The version of a level's plans (``None``: of what no level has): it changes with the calibration, and with what was
         probed for the level. Empty where neither is there.
         """
-        found = None if level is None or not self.probed else self.probed.get(level)
+        found = None if level is None else self.probed.get(level.version)
         if found is None:
             return self.calibration
         return hashlib.sha256(f"{self.calibration}\n{found}".encode()).hexdigest()[:16]
 
-    def with_probed(self, level: LevelKey, found: str) -> PlanBasis:
-        """The same with what was probed for a level; what was for other versions of its files is forgotten."""
-        others = {key: text for key, text in self.probed.items() if key.path != level.path or key.version == level.version}
-        return replace(self, probed={**others, level: found})
+    def probes_of(self, level: LevelKey) -> MapProbes:
+        """What was probed for a level."""
+        return _probes(self.probed.get(level.version, "{}"))
+
+    def with_probed(self, found: Mapping[str, str]) -> PlanBasis:
+        """The same with what was probed for versions of levels."""
+        return replace(self, probed={**self.probed, **found})
+
+
+@lru_cache(maxsize=64)
+def _probes(text: str) -> MapProbes:
+    from selector.map_probes import MapProbes
+
+    return MapProbes.model_validate_json(text)

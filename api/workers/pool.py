@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -14,9 +14,22 @@ from typing import TYPE_CHECKING
 from api.errors import LaterError, SetAsideError, WorkerCrashError
 from api.settings import Settings, cores
 from api.workers.idle_calibration import IdleCalibration, measured_profile
+from api.workers.idle_probes import IdleProbes, probed_level
 from api.workers.idle_work import IdleWork
 from api.workers.job_queue import JobQueue, PendingJob
-from api.workers.jobs import Answer, BlockTiles, DescribedPlanJob, Failure, Job, LevelKey, Ping, Result, ServedPictures, Snapshot
+from api.workers.jobs import (
+    Answer,
+    BlockJob,
+    BlockTiles,
+    DescribedPlanJob,
+    Failure,
+    Job,
+    LevelKey,
+    Ping,
+    Result,
+    ServedPictures,
+    Snapshot,
+)
 from api.workers.plan_basis import PlanBasis
 from api.workers.process_life import is_stopped
 from api.workers.render_worker import WorkerConfig, worker_main
@@ -28,6 +41,7 @@ from terrain.gl.device import NO_OPENGL
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
+    from selector.map_probes import MapProbes
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 """Pause before a second start in a row that follows a failure; it doubles from there."""
@@ -66,7 +80,8 @@ class Pool:
     """Runs jobs in render processes. To be used from one event loop.
 
     Equal jobs at the same time are one job. Finished blocks and snapshots are kept within ``block_cache_bytes``. A process that
-    is started prepares for what is ``served``. A device without a calibration is given one by ``measure`` while nothing is drawn.
+    is started prepares for what is ``served``. A device without a calibration is given one by ``measure`` while nothing is drawn,
+    and levels that maps are drawn of are probed by ``probe``.
 
     ``basis`` is what plans go by. Another one may take its place at any time: what is begun after that goes by it, in all
     processes, and of what is kept only pictures of its version are found.
@@ -78,6 +93,7 @@ class Pool:
         target: WorkerTarget = worker_main,
         served: Callable[[], tuple[ServedPictures, ...]] = tuple,
         measure: Callable[[], DeviceProfile] = measured_profile,
+        probe: Callable[[LevelKey, int, DeviceProfile], MapProbes] = probed_level,
     ) -> None:
         self._settings = settings
         self._target, self._served = target, served
@@ -104,6 +120,7 @@ class Pool:
         self.basis: PlanBasis | None = None
         self.idle = IdleWork(lambda: bool(self.queued or self.running or self._starting), self._config.gl_threads)
         self.calibrating = IdleCalibration(settings.calibrate_when_idle, self.idle, self._device, self._use, measure)
+        self.probing = IdleProbes(settings.probe_when_idle, self.idle, self._device, self._probed, self._use_probed, probe)
         self.pids: set[int] = set()
         self.tally = PoolCounters()
         self.on_drawn: Callable[[BlockTiles | Snapshot], None] = lambda drawn: None
@@ -130,6 +147,12 @@ class Pool:
 
     def _use(self, device: DeviceProfile) -> None:
         self.basis = replace(self.basis or PlanBasis(), device=device)
+
+    def _probed(self) -> Mapping[str, str]:
+        return {} if self.basis is None else self.basis.probed
+
+    def _use_probed(self, found: Mapping[str, str]) -> None:
+        self.basis = (self.basis or PlanBasis()).with_probed(found)
 
     async def settled(self) -> None:
         """Wait until it is known what the first process draws with, or that it cannot be started."""
@@ -166,7 +189,9 @@ class Pool:
         self._settled.set()
         for slot in self._slots:
             slot.cancel()
-        await asyncio.gather(self.calibrating.close(), self.idle.close(), *self._slots, return_exceptions=True)
+        await asyncio.gather(
+            self.calibrating.close(), self.probing.close(), self.idle.close(), *self._slots, return_exceptions=True
+        )
         self._fail_all(BusyError("The service is shutting down."), list(self._flights.values()))
         self._threads.shutdown(wait=True)
 
@@ -291,6 +316,7 @@ class Pool:
         self.pids.add(worker.pid or 0)
         log.info("render process %s ready after %.1f s: %s", worker.pid, took, self.renderer)
         self.calibrating.begin(ready.renderer, ready.version)
+        self.probing.begin(ready.renderer, ready.version)
         return await self._serve(worker)
 
     def _could_not_start(self, error: SkuggaError) -> None:
@@ -389,6 +415,8 @@ class Pool:
             if isinstance(answer, BlockTiles | Snapshot):
                 self._finished.put(flight.job, answer.plan_version, value=answer)
                 self.on_drawn(answer)
+            if isinstance(answer, BlockTiles) and isinstance(flight.job, BlockJob) and answer.unprobed is not None:
+                self.probing.lacking(flight.job.level, answer.unprobed)
             flight.answer.set_result(answer)
 
     def _forget(self, flight: PendingJob) -> None:

@@ -50,11 +50,12 @@ from api.workers.jobs import (
     Tiles,
 )
 from api.workers.map_jobs import HEIGHTS, drawn_map, heights_picture
+from api.workers.map_plans import plan_in_service, unprobed_class
 from api.workers.plan_basis import PlanBasis
 from api.workers.point_jobs import point_answer, points_answer
 from api.workers.process_life import end_with_parent, resident_bytes, stand_back
 from selector.choices import StandaloneRequest
-from selector.select import plan_of_view, select
+from selector.select import select
 from shadows.ground_pictures import ShownMap, shown_map
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
@@ -204,7 +205,7 @@ def run_job(job: Job, state: WorkerState) -> Result:
         case DescriptorJob():
             return DescriptorAnswer(describe(scene, *_seen(scene, job.view)).model_dump_json())
         case PlanJob():
-            plan = plan_of_view(scene, *_seen(scene, job.view), overrides, job.policy, state.device)
+            plan = plan_in_service(scene, *_seen(scene, job.view), overrides, job.level, state.basis, job.policy)
             return PlanAnswer(plan.model_dump_json())
         case PointJob():
             return point_answer(job, scene)
@@ -220,7 +221,7 @@ def run_job(job: Job, state: WorkerState) -> Result:
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
             view = scene.view(job.view, size=job.size)
-            plan = plan_of_view(scene, view, job.view, overrides, device=state.device)
+            plan = plan_in_service(scene, view, job.view, overrides, job.level, state.basis)
             _check_cost(plan, f"{view.cols}x{view.rows}", state)
             frame = render_frame(scene, view, plan)
             start = clock.perf_counter()
@@ -258,7 +259,9 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
         _check_cost(plan, f"a block of {BLOCK_PX}x{BLOCK_PX}", state)
         shown = render_frame(scene, block_view(job), plan) if points else shown_map(scene, block_view(job), plan)
         block = PicturedBlock(shown.color, shown.opacity, shown.there, shown.visibility if isinstance(shown, Frame) else NOT_ASKED)
-        kept = block, _facts(plan, shown, state, job.level)
+        overrides = job.request.overrides.for_selector()
+        unprobed = unprobed_class(scene, block_view(job), overrides, job.level, state.basis)
+        kept = block, {**_facts(plan, shown, state, job.level), "unprobed": unprobed}
         state.blocks.put(*key, value=kept)
         drawn = True
     else:
@@ -288,7 +291,7 @@ def _map(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
 
     def plan_of(scale: Hashable, part: MapView) -> Plan:
         key = job.level, state.basis.version_of(job.level), job.crs, scale, job.request
-        return state.plans.get(key, lambda: plan_of_view(scene, part, "map", overrides, device=state.device))
+        return state.plans.get(key, lambda: plan_in_service(scene, part, "map", overrides, job.level, state.basis))
 
     drawn = drawn_map(scene, job, plan_of)
     reach = drawn.reach
@@ -311,7 +314,8 @@ def plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
     tiles = Tiles(matrix_set=job.matrix_set, zoom=job.zoom)
 
     def make() -> Plan:
-        return plan_of_view(scene, tiles_view(scene, tiles), "map", job.request.overrides.for_selector(), device=state.device)
+        overrides = job.request.overrides.for_selector()
+        return plan_in_service(scene, tiles_view(scene, tiles), "map", overrides, job.level, state.basis)
 
     return state.plans.get((job.level, state.basis.version_of(job.level), tiles, job.request), make)
 

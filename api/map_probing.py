@@ -1,0 +1,86 @@
+"""Probes of a level's maps, scale by scale: what plans of its tiles go by (``selector.map_probes``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import log2
+from typing import TYPE_CHECKING, Any
+
+from api.map_parts import planned_part
+from selector.map_probes import MapClass, MapProbes, ProbedClass, map_class
+from selector.measure.probe import DEFAULT_BUDGET_S, ProbedView, probed_plan
+from terrain.casters.slopes import extent_on_grid
+from terrain.errors import InputError
+from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.ground.surface import map_pixel_m, step_at_anchor_m
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene
+
+if TYPE_CHECKING:
+    from selector.cost.device_profile import DeviceProfile
+
+FINEST, COARSEST_PX = 3, 128
+"""Probed are pixels of a cell's side over 2 ** ``FINEST``, and so on up to those of which ``COARSEST_PX`` show the level, as tiles do."""
+
+
+def probed_scales(scene: Scene) -> range:
+    """The scales of a level's tiles (``selector.map_probes.MapClass``)."""
+    view = _map_of(scene)
+    rows, cols = extent_on_grid(scene.world, scene.elevation, view.grid)
+    longest_m = max(rows[1] - rows[0], cols[1] - cols[0]) * step_at_anchor_m(scene.world, view.grid)
+    finest = round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - FINEST
+    return range(finest, max(round(log2(longest_m / COARSEST_PX)), finest) + 1)
+
+
+def under_class_sun(scene: Scene, sun: int) -> Scene:
+    """A scene under the sun that stands for a class of suns: its own, if that is one of them, else one in the middle of the class,
+    above the same point of the compass.
+    """
+    own = scene.sun
+    if own is not None and (found := map_class(1.0, own.altitude_deg)) is not None and found.sun == sun:
+        return scene
+    azimuth_deg = 180.0 if own is None else own.azimuth_deg
+    return scene.with_sun(SunSpec(azimuth=azimuth_deg, altitude=MapClass(0, sun).sun_altitude_deg))
+
+
+def probe_scale(
+    scene: Scene,
+    scale: int,
+    device: DeviceProfile | None,
+    overrides: dict[str, Any] | None = None,
+    budget_s: float = DEFAULT_BUDGET_S,
+) -> ProbedView:
+    """Probe the part of a level that stands for its maps with pixels of ``2 ** scale`` metres. Raises ``SkuggaError``."""
+    view = _map_of(scene)
+    finer = 2.0**scale / map_pixel_m(scene.world, view)
+    scaled = MapView(view.grid, 0.0, 0.0, view.row_step * finer, view.col_step * finer, BLOCK_PX, BLOCK_PX)
+    return probed_plan(scene, planned_part(scene, scaled)[1], overrides=overrides, device=device, budget_s=budget_s)
+
+
+def probe_maps(
+    scene: Scene,
+    device: DeviceProfile | None,
+    overrides: dict[str, Any] | None = None,
+    budget_s: float = DEFAULT_BUDGET_S,
+    on_scale: Callable[[int, ProbedView], None] = lambda scale, probed: None,
+) -> MapProbes:
+    """Probe a level's maps of all scales under its sun; ``on_scale(scale, probed)`` is called after each.
+
+    Raises ``InputError`` where no sun shines, else ``SkuggaError``.
+    """
+    altitude_deg = None if scene.sun is None else scene.sun.altitude_deg
+    of_sun = map_class(1.0, altitude_deg)
+    if of_sun is None:
+        raise InputError("altitude", altitude_deg, "a sun above the horizon: maps are probed under it")
+    classes = []
+    for scale in probed_scales(scene):
+        probed = probe_scale(scene, scale, device, overrides, budget_s)
+        on_scale(scale, probed)
+        classes.append(ProbedClass(scale=scale, sun=of_sun.sun, seen=probed.seen))
+    return MapProbes(classes=tuple(classes))
+
+
+def _map_of(scene: Scene) -> MapView:
+    view = scene.view("map")
+    assert isinstance(view, MapView)
+    return view

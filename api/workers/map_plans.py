@@ -1,0 +1,51 @@
+"""Plans of a level's maps and tiles in a service: predictions, corrected by what was probed for maps like them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from api.workers.jobs import LevelKey
+from api.workers.plan_basis import PlanBasis
+from selector.map_probes import PROBED_FOR, MapClass, map_class
+from selector.select import plan_of_view
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.ground.surface import map_pixel_m
+
+if TYPE_CHECKING:
+    from selector.choices import PolicyName
+    from selector.options import Seen
+    from shadows.plan import Plan
+    from terrain.scene import Scene
+
+
+def plan_in_service(
+    scene: Scene,
+    view: MapView | PerspectiveView,
+    name: str,
+    overrides: dict[str, Any],
+    level: LevelKey,
+    basis: PlanBasis,
+    policy: PolicyName = "predict",
+) -> Plan:
+    """The plan of a view of a level. Raises ``SkuggaError``."""
+    return plan_of_view(scene, view, name, overrides, policy, basis.device, seen=_seen(scene, view, overrides, level, basis))
+
+
+def unprobed_class(scene: Scene, view: MapView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis) -> MapClass | None:
+    """The class of a map for which a probe would correct the predictions; ``None`` where there is one, or it would not."""
+    found = _class(scene, view, overrides)
+    return found if basis.device is not None and found is not None and basis.probes_of(level).of(found) is None else None
+
+
+def _seen(
+    scene: Scene, view: MapView | PerspectiveView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis
+) -> Mapping[str, tuple[Seen, ...]] | None:
+    return basis.probes_of(level).of(_class(scene, view, overrides)) if isinstance(view, MapView) else None
+
+
+def _class(scene: Scene, view: MapView, overrides: Mapping[str, Any]) -> MapClass | None:
+    if scene.sun is None or not set(overrides) <= PROBED_FOR:
+        return None
+    return map_class(map_pixel_m(scene.world, view), scene.sun.altitude_deg)
