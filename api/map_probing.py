@@ -6,13 +6,11 @@ from collections.abc import Callable
 from math import log2
 from typing import TYPE_CHECKING, Any
 
-from api.map_parts import planned_part
 from selector.map_probes import MapClass, MapProbes, ProbedClass, map_class
 from selector.measure.probe import DEFAULT_BUDGET_S, ProbedView, probed_plan
-from terrain.casters.slopes import extent_on_grid
 from terrain.errors import InputError
-from terrain.geo.grid import BLOCK_PX, MapView
-from terrain.ground.surface import map_pixel_m, step_at_anchor_m
+from terrain.geo.grid import BLOCK_PX, MapView, map_view
+from terrain.ground.surface import map_pixel_m
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 
@@ -20,15 +18,15 @@ if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
 
 FINEST, COARSEST_PX = 3, 128
-"""Probed are pixels of a cell's side over 2 ** ``FINEST``, and so on up to those of which ``COARSEST_PX`` show the level, as tiles do."""
+"""Probed are pixels of a cell's side over 2 ** ``FINEST``, and so on up to those of which ``COARSEST_PX`` show the level, as tiles
+do.
+"""
 
 
 def probed_scales(scene: Scene) -> range:
     """The scales of a level's tiles (``selector.map_probes.MapClass``)."""
-    view = _map_of(scene)
-    rows, cols = extent_on_grid(scene.world, scene.elevation, view.grid)
-    longest_m = max(rows[1] - rows[0], cols[1] - cols[0]) * step_at_anchor_m(scene.world, view.grid)
-    finest = round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - FINEST
+    view, finest = _whole(scene), round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - FINEST
+    longest_m = max(view.rows, view.cols) * map_pixel_m(scene.world, view)
     return range(finest, max(round(log2(longest_m / COARSEST_PX)), finest) + 1)
 
 
@@ -51,10 +49,7 @@ def probe_scale(
     budget_s: float = DEFAULT_BUDGET_S,
 ) -> ProbedView:
     """Probe the part of a level that stands for its maps with pixels of ``2 ** scale`` metres. Raises ``SkuggaError``."""
-    view = _map_of(scene)
-    finer = 2.0**scale / map_pixel_m(scene.world, view)
-    scaled = MapView(view.grid, 0.0, 0.0, view.row_step * finer, view.col_step * finer, BLOCK_PX, BLOCK_PX)
-    return probed_plan(scene, planned_part(scene, scaled)[1], overrides=overrides, device=device, budget_s=budget_s)
+    return probed_plan(scene, _middle(scene, 2.0**scale), overrides=overrides, device=device, budget_s=budget_s)
 
 
 def probe_maps(
@@ -80,7 +75,16 @@ def probe_maps(
     return MapProbes(classes=tuple(classes))
 
 
-def _map_of(scene: Scene) -> MapView:
-    view = scene.view("map")
+def _whole(scene: Scene) -> MapView:
+    view = scene.view("map", scene.default_bounds(scene.map_crs))
     assert isinstance(view, MapView)
     return view
+
+
+def _middle(scene: Scene, pixel_m: float) -> MapView:
+    """The block of a level's map around its middle that has pixels of a side, metres."""
+    west, south, east, north = scene.default_bounds(scene.map_crs)
+    whole = _whole(scene)
+    half = BLOCK_PX / 2 * pixel_m / map_pixel_m(scene.world, whole) * (east - west) / whole.cols
+    x, y = (west + east) / 2, (south + north) / 2
+    return map_view(scene.world, scene.map_crs, (x - half, y - half, x + half, y + half), BLOCK_PX, BLOCK_PX)

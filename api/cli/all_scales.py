@@ -27,13 +27,13 @@ from terrain.scene import build_scene
 def probe_all_scales(
     level: LevelSource, policy: str, overrides: dict[str, Any], sun: SunSpec | None, budget: str | None, write: bool
 ) -> tuple[list[tuple[int, Plan]], str | None]:
-    """The plans of a level's maps by scale (pixels of ``2 ** scale`` metres), and where what was probed is kept; ``budget``, as 3s, is
-    for each of them. Raises ``SkuggaError``.
+    """The plans of a level's maps by scale (pixels of ``2 ** scale`` metres), and where what was probed is kept; ``budget``,
+    as 3s, is for each of them. Raises ``SkuggaError``.
     """
     if policy != "probe":
         raise InputError("--policy", policy, "probe beside --all-scales")
     for name, value in overrides.items():
-        if name not in PROBED_FOR:
+        if value is not None and name not in PROBED_FOR:
             raise InputError(
                 f"--{name.replace('_', '-')}", value, "nothing beside --all-scales: tiles are drawn as the level has it"
             )
