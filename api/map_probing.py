@@ -49,7 +49,7 @@ def probe_scale(
     budget_s: float = DEFAULT_BUDGET_S,
 ) -> ProbedView:
     """Probe the part of a level that stands for its maps with pixels of ``2 ** scale`` metres. Raises ``SkuggaError``."""
-    return probed_plan(scene, _middle(scene, 2.0**scale), overrides=overrides, device=device, budget_s=budget_s)
+    return probed_plan(scene, map_block(scene, 2.0**scale), overrides=overrides, device=device, budget_s=budget_s)
 
 
 def probe_maps(
@@ -81,10 +81,12 @@ def _whole(scene: Scene) -> MapView:
     return view
 
 
-def _middle(scene: Scene, pixel_m: float) -> MapView:
-    """The block of a level's map around its middle that has pixels of a side, metres."""
+def map_block(scene: Scene, pixel_m: float, at: tuple[float, float] = (0.5, 0.5)) -> MapView:
+    """A block of a level's map with pixels of a side of ``pixel_m`` metres; ``at`` is where its middle lies, as shares of the
+    level's sides from the west and the south.
+    """
     west, south, east, north = scene.default_bounds(scene.map_crs)
     whole = _whole(scene)
     half = BLOCK_PX / 2 * pixel_m / map_pixel_m(scene.world, whole) * (east - west) / whole.cols
-    x, y = (west + east) / 2, (south + north) / 2
+    x, y = west + at[0] * (east - west), south + at[1] * (north - south)
     return map_view(scene.world, scene.map_crs, (x - half, y - half, x + half, y + half), BLOCK_PX, BLOCK_PX)

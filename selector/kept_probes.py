@@ -5,8 +5,6 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from selector.cost.device_profile import profile_path
 from selector.map_probes import MapProbes
 from terrain.user_cache import user_cache
@@ -40,5 +38,5 @@ def load_probes(path: Path) -> MapProbes:
     """What a file holds; nothing where it is not there, or of another version of Skugga, or broken: it is probed anew."""
     try:
         return MapProbes.model_validate_json(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, ValidationError):
+    except (OSError, ValueError):  # a broken file's error is one of values
         return MapProbes()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import atan, degrees, log2, radians, tan
+from math import atan, degrees, hypot, log2, radians, tan
 from typing import NamedTuple
 
 from pydantic import BaseModel, ConfigDict
@@ -75,8 +75,8 @@ class MapProbes(BaseModel):
 def _elsewhere(seen: Seen) -> Seen:
     return seen.model_copy(
         update={
-            "error_noise": (seen.error_noise**2 + BETWEEN_BLOCKS_ERROR**2) ** 0.5,
-            "interior_noise": (seen.interior_noise**2 + BETWEEN_BLOCKS_ERROR**2) ** 0.5,
-            "ms_noise": (seen.ms_noise**2 + BETWEEN_BLOCKS_TIME**2) ** 0.5,
+            "error_noise": hypot(seen.error_noise, BETWEEN_BLOCKS_ERROR),
+            "interior_noise": hypot(seen.interior_noise, BETWEEN_BLOCKS_ERROR),
+            "ms_noise": hypot(seen.ms_noise, BETWEEN_BLOCKS_TIME),
         }
     )

@@ -76,7 +76,9 @@ MAY_IMPORT = {
     "selector.options": "belief choices cost expected_loss planner portfolio ranking",
     "selector.predict": "choices cost expected_loss formatting options planner ranking",
     "selector.measure": "belief candidates choices cost expected_loss formatting options planner predict ranking",
-    "selector.select": "choices cost measure planner predict",
+    "selector.map_probes": "options",
+    "selector.kept_probes": "cost map_probes",
+    "selector.select": "choices cost measure options planner predict",
     "selector.replanning": "choices cost planner portfolio select",
     "api.errors": "",
     "api.png": "",
@@ -95,12 +97,14 @@ MAY_IMPORT = {
     "api.sun_hours_layer": "color_scale sun_hours",
     "api.sun_hours": "contour_lines device_calibration raster_file shade",
     "api.device_calibration": "report",
-    "api.workers": "device_calibration errors layers point settings sun_hours_layer",
+    "api.map_parts": "",
+    "api.map_probing": "",
+    "api.workers": "device_calibration errors layers map_parts map_probing point settings sun_hours_layer",
     "api.library": "catalogue device_calibration layers point raster_file shade sun_hours",
     "api.http": "color_scale errors layers point settings shadow_parameters sun_hours_layer workers",
     "api.cli": (
-        "catalogue device_calibration errors http layers point raster_file report settings shade shadow_parameters stac_item "
-        "sun_hours"
+        "catalogue device_calibration errors http layers map_probing point raster_file report settings shade shadow_parameters "
+        "stac_item sun_hours"
     ),
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""

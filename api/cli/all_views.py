@@ -53,7 +53,7 @@ def pin_all(choices: Sequence[PlannedView]) -> str:
 
     Raises ``LevelError`` for a file that cannot be written, ``InputError`` where nothing casts in any view.
     """
-    casting = [choice for choice in choices if casts(choice.plan)]
+    casting = [choice for choice in choices if _casts(choice.plan)]
     path = choices[0].path
     if not casting:
         raise InputError("--write", "all views", "a sun with a cast shadow in some view")
@@ -110,20 +110,19 @@ def cells_of(plan: Plan) -> tuple[str, str, str, str]:
     """What a table says of a plan: choice, what is expected of it (time and error), and whether it meets the target."""
     predicted = plan.predicted
     time, error = ("", "") if predicted is None else (format_duration(predicted.ms), format_percent(predicted.wrong_cast))
-    met = {True: "met", False: "missed", None: "not predicted"}[plan.target.met] if casts(plan) else ""
+    met = {True: "met", False: "missed", None: "not predicted"}[plan.target.met] if _casts(plan) else ""
     return choice_of(plan), time, error, met
 
 
 def choice_of(plan: Plan) -> str:
     """Algorithms, and the settings of maps that are one for all, as ``shadow_map 2048``."""
-    if not casts(plan):
+    if not _casts(plan):
         return NO_SHADOWS
     asked = [step.settings.asked_as.get("map_size") for step in plan.steps if step.settings is not None]
     return " ".join([plan.headline, *(str(size) for size in dict.fromkeys(asked) if size is not None)])
 
 
-def casts(plan: Plan) -> bool:
-    """Whether a plan draws any shadows."""
+def _casts(plan: Plan) -> bool:
     return any(name != NO_SHADOWS for kinds in plan.algorithm.values() for name in kinds.values())
 
 

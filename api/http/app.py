@@ -39,6 +39,7 @@ from api.http.service import ClientGoneError, Service
 from api.http.watching import CLIENT_GONE, KEPT, Watched
 from api.settings import Settings
 from api.workers.idle_calibration import measured_profile
+from api.workers.idle_probes import Probe, probed_level
 from api.workers.pool import Pool
 from api.workers.render_worker import worker_main
 from api.workers.worker_process import WorkerTarget
@@ -51,16 +52,17 @@ def create_app(
     levels: Sequence[Path | LevelSource],
     worker_target: WorkerTarget = worker_main,
     measure: Callable[[], DeviceProfile] = measured_profile,
+    probe: Probe = probed_level,
 ) -> FastAPI:
     """The application over some levels and those of the settings' folder; its render processes run from its start to its end. A
-    device without a calibration is given one by ``measure`` while nothing is drawn.
+    device without a calibration is given one by ``measure`` while nothing is drawn, and levels are probed by ``probe``.
 
     Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served; of the folder's such are left out.
     """
     served = ServedLevels(
         levels, settings.remote_sources, settings.level_check_s, settings.level_timeout_s, settings.levels, settings.data_roots
     )
-    pool = Pool(settings, worker_target, lambda: served_pictures(served), measure)
+    pool = Pool(settings, worker_target, lambda: served_pictures(served), measure, probe)
     tiles = EncodedTiles(settings.tile_cache_bytes)
     metrics = ServiceMetrics(pool, tiles)
     service = Service(settings, served, pool, tiles, NewSuns(settings.new_suns_per_minute), metrics)

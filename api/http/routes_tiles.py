@@ -117,11 +117,11 @@ async def tile_answer(
     if empty and service.settings.empty_tile == "404":
         raise NotServedError("x", f"{name} has no data in tile {zxy[1]}, {zxy[2]} of zoom {zxy[0]}.")
 
-    fresh_s = service.fresh_s(request, OWN_SUN_S if wanted.sun_hours is None and wanted.picture.sun is None else GIVEN_SUN_S)
+    longest_s = OWN_SUN_S if wanted.sun_hours is None and wanted.picture.sun is None else GIVEN_SUN_S
     tag_parts = (level.version, name, tms, zxy, scale, format, wanted.layer, wanted.query())
     of_time = time_headers(request)
     by = service.pool.renderer, service.pool.plan_version(level.key)
-    headers = cache_headers(tag_of(*by, *tag_parts), fresh_s) | of_time
+    headers = cache_headers(tag_of(*by, *tag_parts), service.fresh_s(request, longest_s)) | of_time
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     if empty:
@@ -155,7 +155,10 @@ async def tile_answer(
     block = await service.done(request, job)
     assert isinstance(block, BlockTiles)
     by = block.renderer, block.plan_version
-    tag = tag_of(*by, *tag_parts)
+    tag, fresh_s = (
+        tag_of(*by, *tag_parts),
+        service.fresh_s(request, longest_s),
+    )  # less where it lacks a probe
     made, again = (
         cache_headers(tag, fresh_s) | of_time | drawn_headers(block, "block", kept, block.encode_ms)
         for kept in (kept or not block.drawn, True)

@@ -20,8 +20,14 @@ from terrain.scene import build_scene
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
 
-LOOK_EVERY_S = 2.0
+BUDGET_S = 10.0
+"""Time of a probe of one scale: nobody waits for it."""
+
+READ_EVERY_S = 2.0
 """How often it is looked whether there are others in the user's cache."""
+
+Probe = Callable[[LevelKey, int, "DeviceProfile"], MapProbes]
+"""Probes a level's maps under a class of suns by a device's calibration."""
 
 log = logging.getLogger("skugga")
 
@@ -32,7 +38,7 @@ def probed_level(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
 
     scene = build_scene(load_level(level))
     try:
-        return probe_maps(under_class_sun(scene, sun), device)
+        return probe_maps(under_class_sun(scene, sun), device, budget_s=BUDGET_S)
     finally:
         scene.close()
 
@@ -51,7 +57,7 @@ class IdleProbes:
         device: Callable[[], DeviceProfile | None],
         probed: Callable[[], Mapping[str, str]],
         use: Callable[[Mapping[str, str]], None],
-        probe: Callable[[LevelKey, int, DeviceProfile], MapProbes] = probed_level,
+        probe: Probe = probed_level,
     ) -> None:
         self._enabled, self._idle, self._device, self._probed, self._use = enabled, idle, device, probed, use
         self._probe = probe
@@ -118,7 +124,7 @@ class IdleProbes:
 
     async def _watch(self) -> None:
         while True:
-            await asyncio.sleep(LOOK_EVERY_S)
+            await asyncio.sleep(READ_EVERY_S)
             self._take_up(await asyncio.to_thread(self._changed))
 
     def _changed(self) -> dict[str, MapProbes]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from api.errors import LaterError, SetAsideError, WorkerCrashError
 from api.settings import Settings, cores
 from api.workers.idle_calibration import IdleCalibration, measured_profile
-from api.workers.idle_probes import IdleProbes, probed_level
+from api.workers.idle_probes import IdleProbes, Probe, probed_level
 from api.workers.idle_work import IdleWork
 from api.workers.job_queue import JobQueue, PendingJob
 from api.workers.jobs import (
@@ -41,7 +41,6 @@ from terrain.gl.device import NO_OPENGL
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
-    from selector.map_probes import MapProbes
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 """Pause before a second start in a row that follows a failure; it doubles from there."""
@@ -93,7 +92,7 @@ class Pool:
         target: WorkerTarget = worker_main,
         served: Callable[[], tuple[ServedPictures, ...]] = tuple,
         measure: Callable[[], DeviceProfile] = measured_profile,
-        probe: Callable[[LevelKey, int, DeviceProfile], MapProbes] = probed_level,
+        probe: Probe = probed_level,
     ) -> None:
         self._settings = settings
         self._target, self._served = target, served

@@ -59,10 +59,10 @@ class ViewInstance:
 
     def opened(self, data: Path, folder: Path) -> tuple[Scene, MapView | PerspectiveView]:
         """The scene and its view. ``folder`` takes the level file that is written for a scene of sample data."""
-        scene = _scene(self.level, data, folder)
+        scene = scene_of(self.level, data, folder)
         scene = scene.with_sun(None if self.sun is None else SunSpec(azimuth=self.sun[0], altitude=self.sun[1]))
         if self.look is not None:
-            scene = _scene({**self.level, "views": {"eye": _eye(scene, self.look)}}, data, folder)  # type: ignore[dict-item]
+            scene = scene_of({**self.level, "views": {"eye": _eye(scene, self.look)}}, data, folder)  # type: ignore[dict-item]
             scene = scene.with_sun(None if self.sun is None else SunSpec(azimuth=self.sun[0], altitude=self.sun[1]))
             return scene, scene.view("eye", size=self.size or PERSPECTIVE_PX)
         if self.view == "map":
@@ -70,7 +70,8 @@ class ViewInstance:
         return scene, scene.view(self.view, size=PERSPECTIVE_PX)
 
 
-def _scene(level: str | dict[str, Any], data: Path, folder: Path) -> Scene:
+def scene_of(level: str | dict[str, Any], data: Path, folder: Path) -> Scene:
+    """The scene of a bundled level, or of the text of one; ``folder`` takes its file."""
     if isinstance(level, str):
         return build_scene(load_level(find_level(level)))
     path = folder / "level.yaml"

@@ -12,9 +12,11 @@ from api.workers.block_tiles import BLOCK_TILES
 from api.workers.jobs import BlockJob, BlockTiles, Failure, Ping, PlanAnswer, PlanJob, Pong, Preparing, Ready
 from api.workers.plan_basis import PlanBasis
 from api.workers.render_worker import WorkerConfig
+from selector.map_probes import MapClass
 from terrain.errors import GraphicsError, InputError, RenderError
 
 RENDERER, VERSION = "fake", "1"
+UNPROBED = MapClass(4, -1)
 PLACES = [(row, col) for row in range(BLOCK_TILES) for col in range(BLOCK_TILES)]
 
 
@@ -53,7 +55,9 @@ def obedient(
 
 
 def planning(pipe: Connection, config: WorkerConfig, begun: Semaphore | None = None, go: Semaphore | None = None) -> None:
-    """Answers by what its plans go by: a plan is its policy, a tile the version of its plans. Gated as ``obedient``."""
+    """Answers by what its plans go by: a plan is its policy, a tile the version of its plans, and where it is calibrated a tile
+    lacks a probe until there is one for its level. Gated as ``obedient``.
+    """
     basis = config.basis or PlanBasis()
     pipe.send(Ready(RENDERER, basis.device, VERSION))
     while True:
@@ -75,7 +79,9 @@ def planning(pipe: Connection, config: WorkerConfig, begun: Semaphore | None = N
             pipe.send(PlanAnswer(f'{{"policy": "{"rules" if basis.device is None else "predict"}"}}'))
         else:
             version = basis.version_of(job.level)
-            pipe.send(replace(_answer("draw"), tiles=dict.fromkeys(PLACES, version.encode()), plan_version=version))
+            lacks = None if basis.device is None or basis.probes_of(job.level).classes else UNPROBED
+            tiles = dict.fromkeys(PLACES, version.encode())
+            pipe.send(replace(_answer("draw"), tiles=tiles, plan_version=version, unprobed=lacks))
 
 
 def hanging(pipe: Connection, config: WorkerConfig) -> None:

@@ -16,7 +16,7 @@ from tests.api.workers import fake_workers
 from tests.api.workers.fake_calibrations import profile
 from tests.api.workers.test_pool import LEVEL, Gate, block, until, with_pool
 
-OTHER = LevelKey(path=Path("other.yaml"), version="1")
+OTHER = LevelKey(path=Path("other.yaml"), version="other")
 
 
 class PlanGate(Gate):
@@ -32,15 +32,17 @@ def test_versions():
     basis = PlanBasis(device)
     assert PlanBasis().version_of(LEVEL) == ""
     assert basis.version_of(LEVEL) == basis.version_of(None) != PlanBasis(profile(took_s=2.0)).version_of(LEVEL)
-    probed = basis.with_probed(LEVEL, "coarse pixels")
+    probed = basis.with_probed({LEVEL.version: "coarse pixels"})
     assert probed.version_of(OTHER) == basis.version_of(OTHER) == probed.version_of(None)
     versions = {
-        each.version_of(LEVEL) for each in (basis, probed, basis.with_probed(LEVEL, "fine"), PlanBasis(probed=probed.probed))
+        each.version_of(LEVEL)
+        for each in (basis, probed, basis.with_probed({LEVEL.version: "fine"}), PlanBasis(probed=probed.probed))
     }
     assert len(versions) == 4
-    newer = LevelKey(path=LEVEL.path, version="2")
-    both = probed.with_probed(OTHER, "fine").with_probed(newer, "fine")
-    assert set(both.probed) == {OTHER, newer}
+    both = probed.with_probed({OTHER.version: "fine"})
+    assert both.version_of(LEVEL) == probed.version_of(LEVEL) and both.version_of(OTHER) != basis.version_of(OTHER)
+    newer = LevelKey(path=LEVEL.path, version="newer")
+    assert both.version_of(newer) == basis.version_of(newer), "what was probed for another version does not hold"
 
 
 def drawn(answer: object) -> str:
@@ -118,14 +120,14 @@ def test_idle_work_changes_the_plans_of_one_level(monkeypatch: pytest.MonkeyPatc
     async def scenario(pool: Pool) -> None:
         async def note(found: int) -> None:
             assert pool.basis is not None
-            pool.basis = pool.basis.with_probed(LEVEL, str(found))
+            pool.basis = pool.basis.with_probed({LEVEL.version: str(found)})
 
         assert drawn(await pool.run(block(1))) == ""
         pool.idle.add(IdleJob(os.getenv, (), note, failures.append))  # it needs an argument
         pool.idle.add(IdleJob(abs, (-3,), note, failures.append, lambda: False))
         pool.idle.add(IdleJob(abs, (-5,), note, failures.append))
         await until(lambda: pool.plan_version(LEVEL) != "")
-        assert pool.basis is not None and pool.basis.probed == {LEVEL: "5"}
+        assert pool.basis is not None and pool.basis.probed == {LEVEL.version: "5"}
         assert pool.plan_version(OTHER) == ""
         assert drawn(await pool.run(block(1))) == pool.plan_version(LEVEL)
         assert drawn(await pool.run(block(1).model_copy(update={"level": OTHER}))) == ""

@@ -1,0 +1,125 @@
+"""Whether what is probed in the middle of a level holds elsewhere: choices drawn in its blocks, held against those in the middle.
+
+    python -m benchmarks.selection.blocks DATA       minutes on two cores; the device must be calibrated (skugga calibrate)
+
+Prints how far errors and times of the same choice differ between blocks (``selector.map_probes``), and how often plans of other
+blocks keep to 1 % and 3 % and what they take, by prediction and with what was probed in the middle.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections import defaultdict
+from math import log
+from pathlib import Path
+
+import numpy as np
+
+from api.map_probing import map_block
+from api.workers.idle_probes import BUDGET_S
+from benchmarks.selection.views import RASTERS, scene_of
+from selector.cost.device_profile import DeviceProfile, load_profile
+from selector.cost.error_model import log_error
+from selector.map_probes import MapClass, MapProbes, ProbedClass
+from selector.measure.probe import probed_plan
+from selector.measure.probing import leader_of
+from selector.measure.proving import ProbedPictures, SceneProver
+from selector.planner.planner import make_plan, planner_of
+from selector.predict import plan_options
+from terrain.describe import describe
+from terrain.geo.grid import MapView
+from terrain.gl.device import device
+from terrain.level.level import SUN
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene
+
+LEVELS = ("jacksboro_wooded", "grenoble", "lisbon", "sanfrancisco", "quebec", "bilbao, trees")
+PLACES = ((0.25, 0.3), (0.72, 0.35), (0.35, 0.75))
+"""Middles of other blocks, as shares of the level's sides."""
+SUNS = (SunSpec(azimuth=140.0, altitude=12.0), SunSpec(azimuth=220.0, altitude=40.0))
+TARGETS = (0.01, 0.03)
+MOST_POINTS_S = 2.0
+"""Truth is asked for at more and more points as long as they take less than this."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    data = parser.parse_args().data
+    gpu = device()
+    profile = load_profile(gpu.renderer, gpu.version)
+    assert profile is not None, "run skugga calibrate first"
+    differences: dict[str, list[float]] = defaultdict(list)
+    held: dict[tuple[str, float], list[tuple[bool, float]]] = defaultdict(list)
+    with tempfile.TemporaryDirectory() as folder:
+        for name in LEVELS:
+            opened = scene_of(RASTERS.get(name, name), data, Path(folder))
+            cell_m = opened.elevation.cell_size_m(opened.world.metres_per_unit)
+            for sun in SUNS:
+                for pixel_m in (cell_m, 4.0 * cell_m):
+                    text = f"{name}, {sun.altitude:g} degrees, {pixel_m:.3g} m"
+                    _one(text, opened.with_sun(sun), pixel_m, profile, differences, held)
+            opened.close()
+    for what, values in differences.items():
+        square, most = float(np.sqrt(np.mean(np.square(values)))), np.quantile(np.abs(values), 0.9)
+        print(f"{what}: {len(values)} differences of logarithms, root mean square {square:.2f}, 90 % under {most:.2f}")
+    for (how, target), rows in held.items():
+        met, times = [row[0] for row in rows], [row[1] for row in rows]
+        print(f"{how}, {100 * target:g} %: {sum(met)} of {len(met)} blocks keep to it, {np.mean(times):.1f} ms in the mean")
+
+
+def _one(
+    name: str,
+    scene: Scene,
+    pixel_m: float,
+    profile: DeviceProfile,
+    differences: dict[str, list[float]],
+    held: dict[tuple[str, float], list[tuple[bool, float]]],
+) -> None:
+    probed = probed_plan(scene, map_block(scene, pixel_m), device=profile, budget_s=BUDGET_S)
+    seen = probed.seen.get(SUN, ())
+    here = MapClass(0, 0)
+    elsewhere = MapProbes(classes=(ProbedClass(scale=0, sun=0, seen=probed.seen),)).of(here)
+    assert elsewhere is not None
+    print(name, [f"{each.choice} {each.error:.2%} {each.ms:.1f} ms" for each in seen], flush=True)
+    for place in PLACES:
+        block = _Block(scene, map_block(scene, pixel_m, place), profile)
+        if block.options is None:
+            continue
+        numbers = {option.choice.name: number for number, option in enumerate(block.options.options)}
+        for each in seen:
+            if each.choice in numbers:
+                error, ms = block.shown(numbers[each.choice])
+                differences["errors"].append(log_error(error) - log_error(each.error))
+                differences["times"].append(log(ms) - log(each.ms))
+        for target in TARGETS:
+            for how, believed in (("predict", block.options), ("with probes", block.options.after(elsewhere.get(SUN, ())))):
+                error, ms = block.shown(leader_of(believed, target, None))
+                held[how, target].append((error <= target, ms))
+
+
+class _Block:
+    """A block of which choices are drawn, each once: its ``options`` under the sun, ``None`` where nothing casts."""
+
+    def __init__(self, scene: Scene, view: MapView, profile: DeviceProfile) -> None:
+        descriptor = describe(scene, view, "map", "points")
+        options = plan_options(planner_of(descriptor, scene.loaded.level, None), profile)
+        self.options = options.lights.get(SUN)
+        if self.options is not None:
+            pictures = ProbedPictures(scene, view, make_plan(descriptor, scene.loaded.level, None, choices={}).runs)
+            self._prover = SceneProver(pictures, options.planner, SUN, self.options)
+        self._drawn: dict[int, tuple[float, float]] = {}
+
+    def shown(self, which: int) -> tuple[float, float]:
+        """Error and milliseconds of an option."""
+        if which not in self._drawn:
+            ms = self._prover.draw(which)
+            while not self._drawn and (self._prover.more_points_s() or np.inf) < MOST_POINTS_S:
+                self._prover.more_points()
+            self._drawn[which] = (1.0, np.inf) if ms is None else (self._prover.proof(which).error, ms)
+        return self._drawn[which]
+
+
+if __name__ == "__main__":
+    main()

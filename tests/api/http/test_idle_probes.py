@@ -1,0 +1,120 @@
+"""A service's levels are probed while nothing is drawn, and plans of their tiles go by it: as a new version of all their plans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from api import map_probing
+from api.http.app import create_app
+from api.http.server import log_config
+from api.settings import Settings
+from api.workers import idle_probes, idle_work
+from api.workers.idle_probes import probed_level
+from selector.cost.device_profile import save_profile
+from selector.kept_probes import load_probes, probes_folder, save_probes
+from selector.map_probes import MapProbes, ProbedClass
+from tests.api import conftest
+from tests.api.conftest import Client, running
+from tests.api.http.test_idle_calibration import OTHER_TILE, TILE, said, until
+from tests.api.workers import fake_probes, fake_workers
+from tests.api.workers.fake_calibrations import profile
+
+Serve = Callable[..., Client]
+
+
+@pytest.fixture
+def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
+    """``serve(probe, **settings)`` is a client of a service, soon idle, on a calibrated device."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
+    monkeypatch.setattr(idle_work, "QUIET_CHECK_S", 0.01)
+    monkeypatch.setattr(idle_probes, "READ_EVERY_S", 0.02)
+    monkeypatch.setattr(conftest, "log_config", lambda settings: {**log_config(settings), "loggers": {}})  # heard from the start
+    save_profile(profile())
+    caplog.set_level("INFO", "skugga")
+    with ExitStack() as stack:
+
+        def make(probe=fake_probes.at_once, **settings) -> Client:
+            asked = Settings(**{"workers": 1, "probe_when_idle": True, **settings})
+            client = stack.enter_context(running(create_app(asked, [hills_level], fake_workers.planning, probe=probe)))
+            until(lambda: client.service.pool.ready and client.service.pool.plan_version(None) != "")
+            return client
+
+        yield make
+
+
+def waiting(client: Client) -> int:
+    return int(client.get("/readyz").json()["probes_waiting"])
+
+
+def kept() -> list[Path]:
+    return list(probes_folder(fake_workers.RENDERER, fake_workers.VERSION).glob("*.json"))
+
+
+def test_predictions_first_then_what_was_probed(serve: Serve, caplog: pytest.LogCaptureFixture):
+    client = serve()
+    predicted = client.get(TILE)
+    assert predicted.text == client.service.pool.plan_version(None)
+    assert predicted.headers["cache-control"] == "public, max-age=60"
+    until(lambda: waiting(client) == 0)
+    level = client.service.levels.known()[0].key
+    version = client.service.pool.plan_version(level)
+    assert version != predicted.text
+    probed = client.get(TILE, headers={"If-None-Match": predicted.headers["etag"]})
+    assert (probed.status_code, probed.text, probed.headers["cache-control"]) == (200, version, "public, max-age=3600")
+    assert client.get(OTHER_TILE).text == version
+    assert [path.stem for path in kept()] == [level.version]
+    assert load_probes(kept()[0]) == fake_probes.at_once(level, fake_workers.UNPROBED.sun, profile())
+    assert said(caplog, "were probed at 2 scales") == 1
+
+
+def test_another_service_goes_by_it_from_its_first_tile(serve: Serve):
+    first = serve()
+    first.get(TILE)
+    until(lambda: waiting(first) == 0)
+    version = first.service.pool.plan_version(first.service.levels.known()[0].key)
+    assert serve(fake_probes.failing).get(TILE).text == version != first.service.pool.plan_version(None)
+
+
+def test_probes_of_a_command_beside_it_are_taken_up(serve: Serve):
+    client = serve(probe_when_idle=False)
+    before = client.get(TILE)
+    assert waiting(client) == 0 and before.headers["cache-control"] == "public, max-age=3600"
+    level = client.service.levels.known()[0].key
+    probes = MapProbes(classes=(ProbedClass(scale=4, sun=-1, seen={"sun": (fake_probes.seen(),)}),))
+    save_probes(fake_workers.RENDERER, fake_workers.VERSION, level.version, probes)
+    until(lambda: client.get(TILE).text != before.text)
+
+
+def test_a_level_that_cannot_be_probed_stays_predicted(serve: Serve, caplog: pytest.LogCaptureFixture):
+    client = serve(fake_probes.failing)
+    predicted = client.get(TILE).text
+    until(lambda: said(caplog, "could not be probed") == 1)
+    assert said(caplog, "the raster is gone") == 1 and waiting(client) == 0 and kept() == []
+    assert client.get(OTHER_TILE).text == predicted
+    assert said(caplog, "could not be probed") == 1, "it is not tried again"
+
+
+def test_what_cannot_be_kept_holds_until_the_service_ends(serve: Serve, caplog: pytest.LogCaptureFixture):
+    folder = probes_folder(fake_workers.RENDERER, fake_workers.VERSION)
+    folder.parent.mkdir(parents=True)
+    folder.touch()  # a file in its place
+    client = serve()
+    predicted = client.get(TILE).text
+    until(lambda: client.get(TILE).text != predicted)
+    assert said(caplog, "until this service ends") == 1
+
+
+def test_a_level_is_probed_at_all_its_scales(gl, hills_level: Path, monkeypatch: pytest.MonkeyPatch):
+    from api.workers.jobs import LevelKey
+    from selector.cost.usual_device import usual_device
+
+    monkeypatch.setattr(map_probing, "probed_scales", lambda scene: range(4, 6))
+    found = probed_level(LevelKey(path=hills_level, version="1"), -1, usual_device())
+    assert [each.scale for each in found.classes] == [4, 5]
+    assert {each.sun for each in found.classes} == {-1}
+    assert all(each.seen["sun"] for each in found.classes)

@@ -1,0 +1,23 @@
+"""Probes that draw nothing: of two scales, or none at all."""
+
+from __future__ import annotations
+
+from api.workers.jobs import LevelKey
+from selector.cost.device_profile import DeviceProfile
+from selector.map_probes import MapProbes, ProbedClass
+from selector.options import Seen
+from terrain.errors import RenderError
+
+
+def seen(choice: str = "shadow_map 1024", error: float = 0.01, ms: float = 20.0) -> Seen:
+    return Seen(choice=choice, error=error, error_noise=0.1, interior=0.0, interior_noise=0.1, ms=ms, ms_noise=0.1)
+
+
+def at_once(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
+    """Something was seen at two scales."""
+    return MapProbes(classes=tuple(ProbedClass(scale=scale, sun=sun, seen={"sun": (seen(),)}) for scale in (4, 5)))
+
+
+def failing(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
+    """The raster is gone."""
+    raise RenderError("the raster is gone")

@@ -1,0 +1,79 @@
+"""What one probe stands for: classes of maps by their pixels and the sun; and what is kept of probes."""
+
+from __future__ import annotations
+
+import os
+from math import atan, degrees, hypot
+
+import pytest
+
+from selector import kept_probes
+from selector.kept_probes import load_probes, probes_folder, save_probes
+from selector.map_probes import BETWEEN_BLOCKS_ERROR, BETWEEN_BLOCKS_TIME, MapClass, MapProbes, ProbedClass, map_class
+from tests.api.workers.fake_probes import seen
+
+
+def of(scale: int, sun: int, *choices: str) -> MapProbes:
+    return MapProbes(classes=(ProbedClass(scale=scale, sun=sun, seen={"sun": tuple(map(seen, choices))}),))
+
+
+@pytest.mark.parametrize(
+    ("pixel_m", "altitude_deg", "expected"),
+    [
+        (8.0, 45.0, (3, 0)), (11.0, 45.0, (3, 0)), (12.0, 45.0, (4, 0)), (0.25, 26.565, (-2, -1)), (1.0, 0.01, (0, -5)),
+        (1.0, 90.0, (0, 2)), (1.0, degrees(atan(2.0**0.49)), (0, 0)), (1.0, degrees(atan(2.0**0.51)), (0, 1)),
+    ],
+)  # fmt: skip
+def test_classes(pixel_m, altitude_deg, expected):
+    assert map_class(pixel_m, altitude_deg) == expected
+
+
+@pytest.mark.parametrize("altitude_deg", [None, 0.0, -3.0])
+def test_no_class_without_sunshine(altitude_deg):
+    assert map_class(8.0, altitude_deg) is None
+
+
+@pytest.mark.parametrize("sun", range(-5, 3))
+def test_the_middle_of_a_class_is_in_it(sun):
+    assert map_class(1.0, MapClass(0, sun).sun_altitude_deg) == (0, sun)
+
+
+def test_what_was_seen_is_less_certain_elsewhere():
+    probes = of(3, -1, "sweep").with_(of(4, -1, "shadow_map 512"))
+    found = probes.of(MapClass(4, -1))
+    assert found is not None and [each.choice for each in found["sun"]] == ["shadow_map 512"]
+    each, at_place = found["sun"][0], seen()
+    assert (each.error, each.ms) == (at_place.error, at_place.ms)
+    assert each.error_noise == hypot(at_place.error_noise, BETWEEN_BLOCKS_ERROR) > each.ms_noise
+    assert each.ms_noise == hypot(at_place.ms_noise, BETWEEN_BLOCKS_TIME) > at_place.ms_noise
+    assert probes.of(MapClass(5, -1)) is None and probes.of(MapClass(3, 0)) is None and probes.of(None) is None
+
+
+def test_later_probes_of_a_class_take_the_place_of_earlier_ones():
+    both = of(4, 0, "b").with_(of(3, 0, "a")).with_(of(4, 0, "c"))
+    assert both == of(3, 0, "a").with_(of(4, 0, "c")) and both != of(3, 0, "a").with_(of(4, 0, "b"))
+    assert [each.scale for each in both.classes] == [3, 4]
+
+
+def test_kept_and_read(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    path = save_probes("device", "1", "level", of(3, 0, "a"))
+    assert path.parent == probes_folder("device", "1") != probes_folder("device", "2")
+    assert save_probes("device", "1", "level", of(4, 0, "b")) == path
+    assert load_probes(path) == of(3, 0, "a").with_(of(4, 0, "b"))
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"classes": [{"scale": 1}]}', '{"other": 1}', "\xff"])
+def test_a_broken_file_counts_as_none(tmp_path, text):
+    path = tmp_path / "level.json"
+    assert load_probes(path) == MapProbes()
+    path.write_bytes(text.encode("latin1"))
+    assert load_probes(path) == MapProbes()
+
+
+def test_the_oldest_are_forgotten(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(kept_probes, "MOST_KEPT", 2)
+    for number in range(4):
+        os.utime(save_probes("device", "1", f"level{number}", of(number, 0, "a")), (number, number))
+    assert sorted(path.stem for path in probes_folder("device", "1").iterdir()) == ["level2", "level3"]
