@@ -2,7 +2,8 @@
 of its views and suns, or a list of ``pins`` there for some.
 
 The text is changed where it has to be and nowhere else: comments, order, quotes, indentation and line ends of all other keys stay
-byte for byte. Lines that begin with ``#:`` are the pin's own, and are replaced by the next one.
+byte for byte. Lines that begin with ``#:`` are the pin's own, and are replaced by the next one. Of a value that is replaced the
+user's comments stay: those of an item in a list of pins at the item for the same view and suns, all others above the value's key.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from textwrap import wrap
-from typing import Any
+from typing import Any, NamedTuple
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -28,6 +29,7 @@ from shadows.registry import NO_SHADOWS
 from terrain.errors import InputError, LevelError
 from terrain.facts.descriptor import Descriptor
 from terrain.level.level import SUN, is_level_raster
+from terrain.level.pin_scope import PinScope
 from terrain.whole_files import write_whole
 
 POLICY_CHOSEN = ("map_size",)
@@ -44,10 +46,20 @@ COMMENT_WIDTH = 116
 _PIN = re.compile(rf"^[ \t]*{PIN_COMMENT}.*(?:(?:\r\n|\r|\n)[ \t]*#:.*)*(?:\r\n|\r|\n)", re.MULTILINE)
 _KEYS = re.compile(rf"^[ \t]*{PINNED_KEYS_COMMENT}([a-z_, ]+)\.", re.MULTILINE)
 _DOCUMENT_END = re.compile(r"^\.\.\.", re.MULTILINE)
+_COMMENT = re.compile(r"#[^\r\n]*")
 _ALIAS = re.compile(r"\s*:\s*(\*[^\s,\[\]{}]+)")
 
 Pair = tuple[ScalarNode, Node]
 Edit = tuple[int, int, str]
+Comment = tuple[int, str]
+"""Where it begins, and its text from the ``#`` on."""
+
+
+class ItemComments(NamedTuple):
+    """Comments at an item of a list: on lines above it, and behind it."""
+
+    above: list[str]
+    behind: list[str]
 
 
 def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[str, Any]:
@@ -142,7 +154,7 @@ def _rewritten(text: str, wanted: Mapping[str, Any], why: Sequence[str]) -> str:
     start = _line_start(text, head.start_mark.index)
     indent = " " * (head.start_mark.column if head is not root else 0)
     edits.append((start, start, "".join(f"{line}{line_end}" for line in _comment(why, indent))))
-    for start, end, new in sorted(edits, reverse=True):
+    for start, end, new in reversed(sorted(edits, key=lambda edit: edit[:2])):  # what comes first of edits at one place stays first
         text = text[:start] + new + text[end:]
     return text
 
@@ -150,14 +162,21 @@ def _rewritten(text: str, wanted: Mapping[str, Any], why: Sequence[str]) -> str:
 def _changes(text: str, shadows: MappingNode, wanted: Mapping[str, Any], quoted: bool, line_end: str) -> list[Edit]:
     """Values that are there changed in their place, others behind the last one."""
     pairs: dict[str, Pair] = {key.value: (key, value) for key, value in shadows.value}
-    edits = []
-    for key in wanted.keys() & pairs.keys():
+    comments = _comments_in(text)
+    edits: list[Edit] = []
+    for key in (key for key in pairs if key in wanted):
         if key == PINS and not shadows.flow_style and _is_list_of_lines(pairs[key]):
-            edits += _list_replaced(text, pairs[key], wanted[key], line_end)
-            continue
-        start, end = _span(text, pairs[key])
-        gap = " " if text[start - 1] == ":" else ""
-        edits.append((start, end, f"{gap}{_flow(wanted[key], quoted)}"))
+            replaced, homeless = _list_replaced(text, pairs[key], wanted[key], line_end, comments)
+        else:
+            start, end = _span(text, pairs[key])
+            gap = " " if text[start - 1] == ":" else ""
+            replaced = [(start, end, f"{gap}{_flow(wanted[key], quoted)}")]
+            homeless = [comment for at, comment in comments if start <= at < end]
+        mark = (shadows if shadows.flow_style else pairs[key][0]).start_mark
+        above = _line_start(text, mark.index)
+        indent = text[above : mark.index] if not text[above : mark.index].strip() else ""
+        edits += [(above, above, f"{indent}{comment}{line_end}") for comment in homeless]
+        edits += replaced
     new = {key: value for key, value in wanted.items() if key not in pairs}
     if new and shadows.flow_style:
         edits.append(_inserted(text, shadows.value, new, quoted) if shadows.value else _filled(shadows, new, quoted))
@@ -172,22 +191,57 @@ def _changes(text: str, shadows: MappingNode, wanted: Mapping[str, Any], quoted:
 def _is_list_of_lines(pair: Pair) -> bool:
     """Whether a value is a list with a line an item, or one without items that may become one."""
     key, value = pair
-    return isinstance(value, SequenceNode) and not _is_alias(key, value) and not (value.flow_style and value.value)
+    if not isinstance(value, SequenceNode) or _is_alias(key, value) or (value.flow_style and value.value):
+        return False
+    return not any(_is_alias(key, item) for item in value.value)
 
 
-def _list_replaced(text: str, pair: Pair, items: Sequence[Any], line_end: str) -> list[Edit]:
-    """A list replaced by another one, a line an item; what is said behind its key stays."""
+def _list_replaced(
+    text: str, pair: Pair, items: Sequence[Any], line_end: str, comments: Sequence[Comment]
+) -> tuple[list[Edit], list[str]]:
+    """A list replaced by another one, a line an item, with the comments for which there is no place in that; what is said behind
+    its key stays.
+    """
     key, value = pair
     assert isinstance(value, SequenceNode)
     indent = " " * key.start_mark.column
     colon, end_of_line = text.index(":", key.end_mark.index) + 1, _line_end(text, key.end_mark.index)
     if value.flow_style:
         behind_key: list[Edit] = [(colon, value.end_mark.index, "" if items else " []")]
-        end = end_of_line = _line_end(text, value.end_mark.index)
-    else:
-        behind_key = [] if items else [(colon, colon, " []")]
-        end = max(_line_end(text, _end(text, value)), end_of_line)
-    return [*behind_key, (end_of_line, end, _block(items, indent, line_end) if items else "")]
+        homeless = [comment for at, comment in comments if colon <= at < value.end_mark.index]
+        end_of_line = _line_end(text, value.end_mark.index)
+        return [*behind_key, (end_of_line, end_of_line, _block(items, indent, line_end) if items else "")], homeless
+    behind_key = [] if items else [(colon, colon, " []")]
+    end = max(_line_end(text, _end(text, value)), end_of_line)
+    old = list(zip(value.value, _load(text)["shadows"][PINS], strict=True))
+    said: dict[int, ItemComments] = {}
+    homeless = []
+    for at, comment in comments:
+        if not end_of_line <= at < end:
+            continue
+        node, pin_before = next((node, item) for node, item in old if at < _line_end(text, _end(text, node)))
+        number = next((number for number, item in enumerate(items) if _scope(item) == _scope(pin_before)), None)
+        if number is None:
+            homeless.append(comment)
+            continue
+        above, behind = said.setdefault(number, ItemComments([], []))
+        is_behind = at >= _end(text, node) and _line_start(text, at) <= node.start_mark.index
+        (behind if is_behind and not behind else above).append(comment)
+    return [*behind_key, (end_of_line, end, _block(items, indent, line_end, said) if items else "")], homeless
+
+
+def _scope(pin_of_list: Mapping[str, Any]) -> list[Any]:
+    """For which view and suns a pin is."""
+    return [pin_of_list.get(key) for key in PinScope.model_fields]
+
+
+def _comments_in(text: str) -> list[Comment]:
+    """All comments of a text, in order: what is no token of YAML and no space."""
+    comments, at = [], 0
+    for token in YAML(typ="safe", pure=True).scan(text):
+        comments += [(match.start(), match.group()) for match in _COMMENT.finditer(text, at, max(token.start_mark.index, at))]
+        at = max(token.end_mark.index, at)
+    return comments
 
 
 def _inserted(text: str, pairs: list[Pair], new: Mapping[str, Any], quoted: bool) -> Edit:
@@ -235,11 +289,17 @@ def _lines(pairs: Mapping[str, Any], indent: str, line_end: str) -> list[str]:
     return [f"{indent}{key}:{_block(value, indent, line_end)}" for key, value in pairs.items()]
 
 
-def _block(value: Any, indent: str, line_end: str) -> str:
-    """What stands behind a key and its colon: a list of mappings with a line an item, else the value on the key's own line."""
-    if isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
-        return "".join(f"{line_end}{indent}  - {_flow(item, quoted=False)}" for item in value)
-    return f" {_flow(value, quoted=False)}"
+def _block(value: Any, indent: str, line_end: str, said: Mapping[int, ItemComments] | None = None) -> str:
+    """What stands behind a key and its colon: a list of mappings with a line an item and, by its number, what is said at it; else
+    the value on the key's own line.
+    """
+    if not (isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value)):
+        return f" {_flow(value, quoted=False)}"
+    lines: list[str] = []
+    for number, item in enumerate(value):
+        above, behind = (said or {}).get(number, ItemComments([], []))
+        lines += [*above, "  ".join([f"- {_flow(item, quoted=False)}", *behind])]
+    return "".join(f"{line_end}{indent}  {line}" for line in lines)
 
 
 def _flow(value: Any, quoted: bool) -> str:

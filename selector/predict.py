@@ -141,7 +141,7 @@ def plan_of(options: PlanOptions, policy: PolicyName, reasons: Sequence[Reasoned
 def _by_rules(options: PlanOptions) -> Plan:
     """The plan of the rules, where for some light nothing that can be taken has been measured."""
     planner = options.planner
-    plan = planner.plan(choices_by_rules(planner.descriptor, planner.asked), options.unmeasured)
+    plan = planner.plan(choices_by_rules(planner.descriptor, planner.asked, planner.lights), options.unmeasured)
     why = "; ".join(f"{name}: {why}" for name, why in options.unmeasured.items())
     return plan.model_copy(update={"reasons": [*plan.reasons, Reasoned(name="policy rules", reason=f"{NOT_PREDICTED}: {why}")]})
 

@@ -12,7 +12,7 @@ from terrain.cache import MIB, cached
 from terrain.casters.clip_space import bend_px
 from terrain.casters.reach import overview_on_grid
 from terrain.effects import EFFECTS
-from terrain.effects.lamps import lamp_reaches
+from terrain.effects.lamps import reaching_lamps
 from terrain.facts.caster_facts import caster_facts_of, slopes_deg, trees_of
 from terrain.facts.coarse_view import CoarseView, coarse_view_of
 from terrain.facts.descriptor import Descriptor, join_bands
@@ -34,10 +34,11 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", p
     drawn = drawn_view(scene, view, pixels_show)
     low, high = scene.height_range_m
     coarse_view = None if isinstance(view, MapView) else coarse_view_of(scene, view)
+    reaching = reaching_lamps(scene, view, coarse_view)
     lamps = tuple(
         LampFacts(
             name=lamp.name, kind=lamp.kind, cutoff_deg=lamp.cutoff_deg, reference_m=lamp.reference_m,
-            reaches=lamp_reaches(scene, lamp, view, coarse_view), radius_m=lamp.radius_m,
+            reaches=lamp.name in reaching, radius_m=lamp.radius_m,
         )
         for lamp in scene.lamps.values()
     )  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from selector.choices import Choice
 from selector.planner.advice_rules import RULES, RuleInput
 from shadows.registry import FALLBACK, can_serve
@@ -12,10 +14,10 @@ from terrain.level.level import Shadows
 NO_RULE = "default: no rule applies, and a shadow map serves every view, light and kind of casters"
 
 
-def choices_by_rules(descriptor: Descriptor, shadows: Shadows) -> dict[str, Choice]:
-    """What the rules take for each light, with the first rule that applies as the reason, and its source."""
+def choices_by_rules(descriptor: Descriptor, shadows: Shadows, lights: Iterable[str]) -> dict[str, Choice]:
+    """What the rules take for each of some lights, with the first rule that applies as the reason, and its source."""
     choices = {}
-    for light in descriptor.light_kinds:
+    for light in lights:
         algorithms = {kind: _first(RuleInput(descriptor, light, kind, shadows)) for kind in descriptor.casters}
         choices[light] = Choice(
             "rules",

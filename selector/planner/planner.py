@@ -47,7 +47,7 @@ def make_plan(
     Raises ``InputError`` for an override that is wrong and ``UnsupportedError`` for one that cannot be served.
     """
     planner = planner_of(descriptor, plan_request, overrides)
-    return planner.plan(choices_by_rules(descriptor, planner.asked) if choices is None else choices, rejected or {})
+    return planner.plan(choices_by_rules(descriptor, planner.asked, planner.lights) if choices is None else choices, rejected or {})
 
 
 def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:

@@ -1,9 +1,12 @@
 """Extra lights: spots and omni lights, where one of them reaches the view.
 
-Their brightness at a point is ``_shine``; ``lamp_reaches`` and the glints on water (``terrain.effects.water``) go by the same law.
+Their brightness at a point is ``_shine``; ``reaching_lamps`` and the glints on water (``terrain.effects.water``) go by the same
+law.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -41,8 +44,32 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names if others <= 1 else [*names[:NAMED_LAMPS], f"{others} others"])
 
 
-def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> bool:
-    """Whether a lamp's light can be seen: on white ground that faces it, wherever a map shows ground or a view looks.
+def reaching_lamps(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> set[str]:
+    """The names of the lamps whose light can be seen: on white ground that faces them, wherever a map shows ground or a view looks.
+    Together the others change no 8-bit channel by more than three quarters of a step.
+    """
+    most = {name: _most_light(scene, lamp, view, coarse_view) for name, lamp in scene.lamps.items()}
+    return set(most) - unseen_together(most, _least_light(scene))
+
+
+def unseen_together(most: Mapping[str, float], least: float) -> set[str]:
+    """Of lamps those that may be left out, the dimmest first, as long as what they come to is no more than what shows.
+
+    ``most`` is the most light of each lamp anywhere in a view, ``least`` the light that shows: irradiances in one unit, 0 or more.
+    No point of the view loses more light than ``least``, wherever each lamp has its most. Of lamps that are equally bright the
+    first are left out.
+    """
+    unseen, together = set(), 0.0
+    for name in sorted(most, key=most.__getitem__):
+        together += most[name]
+        if together > least:
+            break
+        unseen.add(name)
+    return unseen
+
+
+def _most_light(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> float:
+    """The most light of a lamp that falls on anything that is shown, in units of the sun's irradiance; 0 where none does.
 
     Looked at are the overview's highest ground and what stands there, or the points of the view, each taken for as near as the
     way to its neighbours and the height of trees allow. A plain without anything on it is known to lie flat.
@@ -53,7 +80,7 @@ def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coar
         assert isinstance(view, MapView)
         cells = visible_cells(scene.elevation, view)
         if cells is None:
-            return False
+            return 0.0
         points, slack_m = _points_of_cells(scene, cells)
     else:
         points = coarse_view.buffer.frame.points_to_earth(coarse_view.points_frame_m)
@@ -65,11 +92,11 @@ def lamp_reaches(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coar
     light = strength / near_m**2
     if scene.world.flat and np.ptp(scene.height_range_m) <= 0.0 and scene.objects.kinds == ("relief",):
         light *= np.minimum(np.abs(to_points[:, 2]) / near_m, 1.0)
-    seen = light > _least_light(scene)
+    shines = light > 0.0  # not where a point is unknown
     if lamp.kind == "spot":
         off_deg = np.degrees(np.arccos(np.clip(to_points @ lamp.earth_from_lamp[:, 2] / np.maximum(away_m, 1e-9), -1.0, 1.0)))
-        seen &= off_deg - np.degrees(np.arctan2(slack_m, near_m)) <= lamp.cutoff_deg
-    return bool(seen.any())
+        shines &= off_deg - np.degrees(np.arctan2(slack_m, near_m)) <= lamp.cutoff_deg
+    return float(light[shines].max(initial=0.0))
 
 
 def _least_light(scene: Scene) -> float:

@@ -38,8 +38,8 @@ class Facts(BaseModel):
 
 
 class LampFacts(Facts):
-    """A light besides the sun: half angle of its cone (180: an omni light), the distance that it is meant for, and whether any of
-    its light can be seen in the view; ``radius_m`` is that of the ball that shines (0: a point).
+    """A light besides the sun: half angle of its cone (180: an omni light), the distance that it is meant for, and whether its
+    light can be seen in the view, alone or with that of other dim lamps; ``radius_m`` is that of the ball that shines (0: a point).
     """
 
     name: Annotated[str, Field(min_length=1)]

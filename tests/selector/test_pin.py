@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -115,6 +116,86 @@ def test_a_list_of_pins_takes_the_place_of_the_last(name):
     assert pinned_text(back, PIN_LIST, WHY) == back
     for comment in ("# ö", "# said", "# tail", "# mine", "# kept"):
         assert (comment in before) == (comment in back)
+
+
+SAID = {
+    "lines and ends of lines": """  pins:   # mine
+    # <1> all of them
+    - {view: away, filter: 1}   # <2>
+    # <3> the map
+    #<4>  of tiles
+    - {view: map, sun_altitude_deg: [5, 20.5], filter: 3}   # <5> # it is
+    # <6>
+    - {view: map, filter: 1}  # <7>
+  # tail
+  map_size: 64
+""",
+    "blocks": """  pins:
+  -   # <1>
+    view: grüne Au   # <2>
+    # <3>
+    filter: 1   # <4>
+
+  - # <5>
+    algorithm:   # <6>
+      relief: sweep   # <7>
+""",
+    "brackets over lines": """  pins: [{view: "no # comment, 'at all'", filter: 1},   # <1>
+    # <2>
+    {view: 'map # 2', filter: 3} # <3>
+    ,#<4>
+  ]  # tail
+  map_size: 64
+""",
+    "nothing in brackets": "  pins: [   # <1>\n    # <2>\n  ]  # tail\n",
+    "other keys": "  filter: 1\n  algorithm:\n    # <1>\n    relief: sweep  # <2>\n    meshes: hybrid  # tail\n  pins: []\n",
+}
+SAID_IN_BRACES = {
+    "braces": """shadows:
+  {map_size: 64,   # tail
+   algorithm: {relief: sweep,   # <1>
+     meshes: hybrid}, pins: [   # <2>
+     {view: map, filter: 1}]}
+""",
+    "braces on the key's line": "shadows: {pins: [   #~ <1>\n    {view: map,   # <2>\n    filter: 1}]}   # tail\n",
+}
+
+
+@pytest.mark.parametrize("first", [PIN_LIST, {**CHOSEN, **PIN_LIST}])
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+@pytest.mark.parametrize("name", [*SAID, *SAID_IN_BRACES])
+def test_what_a_user_says_inside_of_what_is_replaced_is_kept(name, line_end, first):
+    text = (f"{HEAD}shadows:\n{SAID[name]}" if name in SAID else HEAD + SAID_IN_BRACES[name]).replace("\n", line_end)
+    comments = re.findall(r"#[^\r\n]*", re.sub(r"""(["'])[^"'].*?\1""", "", text))
+    assert len(comments) >= 3
+    for chosen in (first, {"pins": []}, CHOSEN, PIN_LIST, {"pins": PIN_LIST["pins"][::-1]}):
+        text = pinned_text(text, chosen, WHY)
+        assert text is not None and pinned_text(text, chosen, WHY) == text
+        assert [text.count(comment) for comment in comments] == [1] * len(comments)
+        lines = text.split(line_end)
+        assert all(any(line.endswith(comment) for line in lines) for comment in comments), "none is a part of another one"
+        assert {"\r", "\n"} & set("".join(lines)) == set() and load(text)["shadows"].items() >= chosen.items()
+
+
+def test_comments_stay_at_the_pin_of_their_view_and_suns_or_come_above_the_list():
+    after = pinned_text(f"version: 1\nshadows:\n{SAID['lines and ends of lines']}", PIN_LIST, ["Pinned by skugga select."])
+    assert after == (
+        "version: 1\n#: Pinned by skugga select.\n#: Pinned keys: pins.\nshadows:\n"
+        "  # <1> all of them\n  # <2>\n  # <6>\n  # <7>\n  pins:   # mine\n    # <3> the map\n    #<4>  of tiles\n"
+        "    - {view: map, sun_altitude_deg: [5, 20.5], algorithm: {relief: sweep, meshes: shadow_map}, map_size: 2048}"
+        "  # <5> # it is\n"
+        '    - {view: "grüne Au", algorithm: {sun: {relief: hybrid}, lamp: {meshes: planar}}}\n  # tail\n  map_size: 64\n'
+    )
+    in_blocks = pinned_text(f"version: 1\nshadows:\n{SAID['blocks']}", PIN_LIST, WHY)
+    assert in_blocks is not None
+    assert '    # <1>\n    # <2>\n    # <3>\n    # <4>\n    - {view: "grüne Au"' in in_blocks
+    assert "shadows:\n  # <5>\n  # <6>\n  # <7>\n  pins:\n" in in_blocks
+
+
+def test_the_tools_own_comment_in_a_list_is_not_kept():
+    before = f"version: 1\nshadows:\n  pins:\n    {PIN_COMMENT} of old.\n    #: And why.\n    # mine\n    - {{filter: 1}}\n"
+    after = pinned_text(before, PIN_LIST, WHY)
+    assert after is not None and "# mine" in after and "of old" not in after and "And why" not in after
 
 
 def test_a_list_of_pins_has_a_line_a_pin():

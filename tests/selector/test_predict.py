@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from selector import predict
 from selector.belief import SharedVariance
 from selector.choices import StandaloneRequest
 from selector.cost.device_profile import DeviceProfile
@@ -228,6 +229,21 @@ def test_where_nothing_can_be_predicted_the_rules_decide_and_the_plan_says_why()
     assert plan.algorithm == make_plan(described(), asked(described())).algorithm
     why = next(one.reason for one in plan.reasons if one.name == "policy rules")
     assert why.startswith("nothing can be predicted, so the rules decide: ") and "shadow_map: this device has no rates" in why
+
+
+def test_where_the_rules_decide_they_are_asked_about_planned_lights_alone(monkeypatch):
+    lamp = {"kind": "spot", "cutoff_deg": 30.0, "reference_m": 40.0}
+    lamps = [LampFacts(name="near", **lamp), LampFacts(name="far", reaches=False, **lamp)]
+    asked_about, rules = [], predict.choices_by_rules
+    monkeypatch.setattr(
+        predict,
+        "choices_by_rules",
+        lambda descriptor, shadows, lights: asked_about.extend(lights) or rules(descriptor, shadows, lights),
+    )
+    plan = planned(
+        described(lamps=lamps, lights={SUN: casting(), "near": casting()}), device(rates_ns={"another part": {"blocks": 1.0}})
+    )
+    assert plan.policy == "rules" and list(plan.lights) == asked_about == [SUN, "near"]
 
 
 @pytest.mark.parametrize("max_error", [0.0, 1e-6])

@@ -7,13 +7,16 @@ import pytest
 import rasterio
 import rasterio.shutil
 
-from api.catalogue import bundled_levels
+from api.catalogue import bundled_levels, remarks
 from api.errors import exit_status
+from api.http.app import create_app
 from api.http.served_levels import ServedLevels
+from api.settings import Settings
 from api.workers.jobs import LevelKey
 from api.workers.render_worker import SceneCache
-from terrain.errors import InputError, LevelError, NotFoundError, SkuggaError, SourceError
-from tests.api.conftest import write_level
+from terrain.errors import InputError, LevelError, NotFoundError, SkuggaError, SourceError, UnsupportedError
+from tests.api.conftest import running, write_level
+from tests.api.http.test_problems import check_problem
 
 
 @pytest.fixture
@@ -144,6 +147,44 @@ def test_a_level_that_cannot_be_served_is_wrong_input_that_names_it(tmp_path: Pa
         ServedLevels([make(tmp_path)])
     assert "wrong" in str(caught.value) and said in str(caught.value)
     assert exit_status(caught.value) == 2
+
+
+@pytest.mark.parametrize(
+    ("pin", "words"),
+    [
+        ({"algorithm": {"relief": "truth"}}, (".algorithm: ", "truth", "in a level that is served: auto, shadow_map")),
+        ({"map_size": 512, "fit": "tight"}, (".fit: 'tight'", "auto or stable in a served level")),
+        ({"view": "mapp", "map_size": 512}, (".view: 'mapp'", "one of the level's views: map")),
+        ({"algorithm": {"lamp": {"relief": "hybrid"}}}, (".algorithm: ", "lamp", "a light (sun)")),
+        ({"sun_altitude_deg": [9, 12], "map_size": 512}, (": 'view map, sun 9 to 12 degrees high'", "shadows.pins.0")),
+    ],
+)
+def test_a_pin_that_cannot_be_served_is_one_error_that_names_it(tmp_path: Path, pin: dict, words: tuple[str, ...]):
+    level = write_level(tmp_path, "hills")
+    levels, text = ServedLevels([level]), json.loads(level.read_text())
+    first = {"view": "map", "sun_altitude_deg": [5, 20], "map_size": 512}
+    write_level(tmp_path, "hills", shadows={"pins": [first, {"view": "map", **pin}]})
+    for look in (lambda: ServedLevels([level]), lambda: levels.get("hills")):  # when it is loaded, and when it is looked at again
+        with pytest.raises(LevelError) as caught:
+            look()
+        said = str(caught.value)
+        assert f"{level}: shadows.pins.1{words[0]}" in said and all(word in said for word in words) and "\n" not in said
+        assert exit_status(caught.value) == 2
+    level.write_text(json.dumps({**text, "shadows": {"pins": [first]}}))
+    assert levels.get("hills").loaded.level.shadows.pins[0].map_size == 512
+
+
+def test_a_pin_of_an_algorithm_that_refuses_the_view_is_told_of_by_validation_and_in_answers(tmp_path: Path):
+    pins = [{"view": "map", "sun_altitude_deg": [5, 20], "map_size": 512}, {"view": "map", "algorithm": "perspective_shadow_map"}]
+    level = write_level(tmp_path, "hills", shadows={"pins": pins})
+    with pytest.raises(UnsupportedError) as caught:
+        remarks(level)
+    assert caught.value.name == f"{level}: shadows.pins.1.algorithm" and "in view map" in str(caught.value)
+    with running(create_app(Settings(workers=1), [level])) as client:
+        check_problem(
+            client.get("/levels/hills/plan?view=map&altitude=40&azimuth=200"), 422, "unsupported", "shadows.pins.1.algorithm"
+        )
+        assert client.get("/levels/hills/plan?view=map&altitude=12&azimuth=200").status_code == 200
 
 
 def test_remote_sources_may_be_allowed(tmp_path: Path):

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.choices import StandaloneRequest
+from selector.choices import Choice, StandaloneRequest
+from selector.planner import advice
 from selector.planner.advice import NO_RULE, choices_by_rules
 from selector.planner.advice_rules import (
     BEHIND_DEG,
@@ -78,8 +79,13 @@ def near_by(texel_px: float, **facts: Any) -> dict[str, LightFacts]:
     return light(nearest_edge_m=TEXEL_M / PIXEL / texel_px, **facts)
 
 
+def choices_of(descriptor: Descriptor, **asked: Any) -> dict[str, Choice]:
+    """What the rules take for all lights."""
+    return choices_by_rules(descriptor, Shadows(**asked), descriptor.light_kinds)
+
+
 def taken(descriptor: Descriptor, kind: str = "meshes", of: str = "sun", **asked: Any) -> str:
-    return choices_by_rules(descriptor, Shadows(**asked))[of].algorithm[kind]
+    return choices_of(descriptor, **asked)[of].algorithm[kind]
 
 
 def rule_of(descriptor: Descriptor, kind: str = "meshes", of: str = "sun") -> str | None:
@@ -92,11 +98,11 @@ def rule_of(descriptor: Descriptor, kind: str = "meshes", of: str = "sun") -> st
 def test_a_descriptor_of_which_little_is_known_breaks_nothing():
     """A rule whose facts are not known does not apply: what is left is a map."""
     for descriptor in (sun_over("meshes"), sun_over("meshes", bands=[], pixel=None, receivers_light_m=None)):
-        choice = choices_by_rules(descriptor, Shadows())["sun"]
+        choice = choices_of(descriptor)["sun"]
         assert choice.algorithm == {"meshes": "shadow_map"} and choice.why == {"meshes": NO_RULE}
     round_earth = sun_over("relief", flat_world=False)  # how much ground there is to sweep is not known
     assert rule_of(round_earth, "relief") is None
-    assert choices_by_rules(map_over("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None), Shadows())
+    assert choices_of(map_over("relief", sun_azimuth_deg=None, sun_altitude_deg=None, highest_sun_deg=None))
 
 
 @pytest.mark.parametrize("descriptor", [sun_over("relief", "meshes"), map_over("relief", "meshes")])
@@ -129,9 +135,9 @@ def test_ground_is_swept_as_far_as_rays_are_straight():
 def test_perfect_shadows_take_volumes_but_for_leaves():
     """Ground is swept all the same, which has no texels either."""
     descriptor = sun_over("relief", "meshes", "forest")
-    strict = choices_by_rules(descriptor, Shadows(max_error=0.9 * MAPS_ERROR))["sun"]
+    strict = choices_of(descriptor, max_error=0.9 * MAPS_ERROR)["sun"]
     assert strict.algorithm == {"relief": "sweep", "meshes": "shadow_volume", "forest": "shadow_map"}
-    assert choices_by_rules(descriptor, Shadows(max_error=MAPS_ERROR))["sun"].algorithm["meshes"] == "shadow_map"
+    assert taken(descriptor, max_error=MAPS_ERROR) == "shadow_map"
 
 
 @pytest.mark.parametrize(
@@ -225,8 +231,7 @@ def test_what_is_advised_is_always_served_and_always_has_a_reason(
         *casters, flat_world=flat, bend_px=bend_px, lamps=[lamp], lights={"sun": facts, "lamp": of_lamp},
         stands=[stand(triangles=triangles, closed_share=closed)],
     )  # fmt: skip
-    asked = Shadows(max_error=max_error)
-    choices = choices_by_rules(descriptor, asked)
+    choices = choices_of(descriptor, max_error=max_error)
     assert list(choices) == ["sun", "lamp"]
     for of, choice in choices.items():
         assert set(choice.algorithm) == set(choice.why) == set(casters)
@@ -234,7 +239,7 @@ def test_what_is_advised_is_always_served_and_always_has_a_reason(
             assert can_serve(name, descriptor, of, kind) and choice.why[kind]
             assert not (is_map and name == "perspective_shadow_map")
             assert not (kind == "forest" and name in ("shadow_volume", "hybrid", "sweep"))
-    plan = make_plan(descriptor, StandaloneRequest(asked, ("sun", "lamp")))
+    plan = make_plan(descriptor, StandaloneRequest(Shadows(max_error=max_error), ("sun", "lamp")))
     assert all(item.reason for item in (*plan.reasons, *plan.rejected)) and plan.policy == "rules"
 
 
@@ -263,3 +268,13 @@ def test_the_thesis_s_own_scenes_are_advised_as_it_says(gl, level, view):
     of = "sun" if level.endswith("_sun") else "lamp"
     plan = make_plan(describe(scene, scene.view(view), view), scene.loaded.level)
     assert plan.algorithm[of] == {"relief": "none", "meshes": SCENES[level, view]}
+
+
+@pytest.mark.parametrize(("view", "planned"), [(sun_over, ["sun", "lamp"]), (map_over, ["sun", "lamp", "far0", "far1"])])
+def test_the_rules_are_asked_about_planned_lights_alone(view, planned, monkeypatch):
+    """Of a perspective view those that reach it; a map's plan may stand for others of its scale."""
+    asked_about, first = [], advice._first
+    monkeypatch.setattr(advice, "_first", lambda case: asked_about.append(case.light) or first(case))
+    dark = [LAMP | {"name": f"far{number}", "reaches": False} for number in range(2)]
+    plan = make_plan(view("meshes", lamps=[LAMP, *dark]), StandaloneRequest(Shadows(), ("sun", "lamp", "far0", "far1")))
+    assert list(plan.lights) == asked_about == planned

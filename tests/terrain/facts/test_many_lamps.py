@@ -1,14 +1,18 @@
-"""Of many lamps only those that reach a view make work: counted, not timed."""
+"""Of many lamps only those that reach a view make work: counted, not timed; and none whose light is missed is left out."""
 
 from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from selector.planner.planner import make_plan
 from shadows.render import render_frame
 from terrain.describe import describe
+from terrain.effects.lamps import unseen_together
 from terrain.facts import light_facts
 from terrain.level.level import load_level
 from terrain.scene import build_scene
@@ -69,3 +73,65 @@ def test_in_a_map_a_lamp_beside_it_stays_in_the_plan(scenes):
     descriptor = describe(scene, view)
     assert not all(lamp.reaches for lamp in descriptor.lamps)
     assert len(make_plan(descriptor, scene.loaded.level).lights) == 62
+
+
+DIM = 30
+"""Lamps, each of which alone is too dim to be seen."""
+
+
+@pytest.fixture(scope="module")
+def dim_scene(tmp_path_factory):
+    """A dark plain under a ring of lamps, each just too dim to be seen alone."""
+    path = tmp_path_factory.mktemp("dim") / "dim.yaml"
+
+    def scene_of(count: int, intensity: float):
+        angles = np.radians(np.arange(count) * 360.0 / DIM)
+        lights = {
+            f"dim{number}": {"kind": "omni", "position": [np.cos(a), np.sin(a), 150], "intensity": intensity}
+            for number, a in enumerate(angles.tolist())
+        }
+        path.write_text(json.dumps({**LEVEL, "meshes": [], "sun": "none", "lights": lights}))
+        return build_scene(load_level(path))
+
+    def alone_is_seen(intensity: float) -> bool:
+        scene = scene_of(1, intensity)
+        return describe(scene, scene.view("eye"), "eye").lamps[0].reaches
+
+    low, high = 1e-9, 1.0
+    assert alone_is_seen(high) and not alone_is_seen(low)
+    while high / low > 1.02:
+        middle = (low * high) ** 0.5
+        low, high = (low, middle) if alone_is_seen(middle) else (middle, high)
+    return scene_of(DIM, low / 1.02)  # others of the ring are a little nearer
+
+
+def test_lamps_that_are_dim_alone_are_seen_together(gl, dim_scene):
+    scene, view = dim_scene, dim_scene.view("eye")
+    descriptor, level = describe(scene, view, "eye"), scene.loaded.level
+    colors = []
+    for effects in ("auto", {"lamps": "on"}, {"lamps": "off"}):
+        asked = level.model_copy(update={"effects": effects})
+        colors.append(render_frame(scene, view, make_plan(descriptor, asked)).color.astype(int))
+    drawn, with_all, without = colors
+    assert np.abs(with_all - without).max() >= 5, "all of them together are seen"
+    assert np.abs(with_all - drawn).max() <= 1
+    left_out = [lamp for lamp in descriptor.lamps if not lamp.reaches]
+    assert 0 < len(left_out) < 5, "some are left out, those alone that are not missed"
+
+
+def test_the_dimmest_are_left_out_as_long_as_their_sum_does_not_show():
+    assert unseen_together({}, 1.0) == set()
+    assert unseen_together({"a": 0.4, "b": 0.1, "c": 0.5, "d": 3.0}, 1.0) == {"a", "b", "c"}, "a sum that is no more than the limit"
+    assert unseen_together({"a": 0.4, "b": 0.2, "c": 0.5, "d": 3.0}, 1.0) == {"a", "b"}
+    assert unseen_together({"a": 0.9, "b": 0.9, "c": 0.9}, 1.0) == {"a"}
+    assert unseen_together({"a": 0.0, "b": 2.0, "c": 0.0}, 0.0) == {"a", "c"}, "what does not shine at all is never missed"
+
+
+@given(most=st.dictionaries(st.text(max_size=3), st.integers(0, 10), max_size=12), least=st.integers(0, 30))
+def test_any_lamps_that_are_left_out_come_to_less_than_shows(most, least):
+    unseen = unseen_together(most, least)
+    seen = most.keys() - unseen
+    together = sum(most[name] for name in unseen)
+    assert unseen <= most.keys() and together <= least
+    assert all(most[dim] <= most[bright] for dim in unseen for bright in seen)
+    assert not seen or together + min(most[name] for name in seen) > least, "one more would show"
