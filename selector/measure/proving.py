@@ -143,10 +143,11 @@ class SceneProver:
         """The same where coverage counts: the mean difference of shares of shadow in blocks of pixels."""
         blocks = COVERAGE_BLOCKS * 2**self._doublings
         if not self._shares:
-            scene = self._pictures.scene
             self._shares = [
-                coverage_truth(each.own, scene, casters, COVERAGE_BLOCK_PX, blocks, light=self._light)
-                for each, casters in self._pictures.drawn
+                coverage_truth(
+                    truth.picture, truth.scene, truth.casters, COVERAGE_BLOCK_PX, blocks, light=self._light, rays=truth.rays
+                )
+                for truth in self._truths
             ]
         off = np.concatenate([
             np.abs(block_shares(1.0 - part) - shares).ravel()
