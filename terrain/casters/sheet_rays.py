@@ -11,14 +11,18 @@ through between them. All is float64.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
-from functools import lru_cache
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 
 from terrain.compiled import compiled
 from terrain.ground.sheet import Sheet
+
+WALKING_THREADS = min(os.cpu_count() or 1, 8)
 
 LEAST_TILE_QUADS = 4
 """Quads along a side of the lowest tiles: all of them are looked at where a ray meets the tile's box."""
@@ -53,8 +57,10 @@ class SheetRays:
         """Whether rays from starts (n, 3) towards one unit direction (3,) meet a triangle: bool (n,)."""
         if not self._sheets:
             return np.zeros(len(start_m), bool)
-        axes = _axes_along(direction)
-        return _blocked(self._along(tuple(float(d) for d in direction)), (start_m - self._centre_m) @ axes.T)
+        axes, pyramids = _axes_along(direction), self._along(tuple(float(d) for d in direction))
+        parts = np.array_split((start_m - self._centre_m) @ axes.T, WALKING_THREADS)
+        with ThreadPoolExecutor(WALKING_THREADS) as pool:  # the loops hold no lock
+            return np.concatenate(list(pool.map(partial(_blocked, pyramids), parts)))
 
     def _turned(self, direction: tuple[float, float, float]) -> Pyramids:
         axes = _axes_along(np.array(direction))
@@ -74,8 +80,13 @@ class SheetRays:
             node, quad = node + (rows + 1) * (cols + 1), quad + rows * cols
         falls = np.concatenate([each.falls.ravel() for each in self._sheets])
         found = Pyramids(np.empty((node, 3)), falls, np.array(sheets), np.array(levels), np.empty((box, 5)))
-        for number, each in enumerate(self._sheets):
-            _build(found, number, each.position_frame_m, self._centre_m, axes)
+        with ThreadPoolExecutor(WALKING_THREADS) as pool:
+            parts = [
+                pool.submit(_build, found, number, each.position_frame_m, self._centre_m, axes)
+                for number, each in enumerate(self._sheets)
+            ]
+            for part in parts:
+                part.result()
         return found
 
 
