@@ -21,11 +21,11 @@ from selector.measure.view_truth import TRUTH_SAMPLES
 from shadows.attached import attached
 from shadows.plan import Step
 from shadows.truth.metrics import INTERIOR_PX, far_from_edges, seen_from
-from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene, truth_of
+from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene, sample_nodes, truth_of
 from shadows.visibility import without_hidden_points
 from terrain.casters.rays import RayScene
 from terrain.casters.reach import Casters
-from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.geometry import GeometryBuffer, MapNodes
 from terrain.gbuffer.subsampled import subsampled_points
 from terrain.geo.grid import MapView
 from terrain.level.level import SUN
@@ -112,11 +112,15 @@ class PictureTruth:
         """How many there are."""
         return self.every**2
 
+    def prepare(self) -> None:
+        """Make what all lattices share, which would else be part of what the first one takes."""
+        _ = self.rays, self.nodes
+
     def lattice(self, number: int) -> Lattice:
         """One of them."""
         first = lattice_offsets(self.every)[number]
         full = subsampled_points(self.picture, self.every, first)
-        truth = truth_of(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays)
+        truth = truth_of(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays, nodes=self.nodes)
         buffer = without_hidden_points(full, self.scene, self.light, self._effects)
         if buffer is not full:
             truth = replace(truth, decidable=truth.decidable & buffer.there, there=truth.there & buffer.there)
@@ -127,6 +131,11 @@ class PictureTruth:
         """What rays can meet. In a map the sun's are too few for a copy of its ground to be worth while."""
         walked = isinstance(self.picture.view, MapView) and self.light == SUN
         return ray_scene(self.picture, self.scene, self.casters, ALL_KINDS, walked)
+
+    @cached_property
+    def nodes(self) -> MapNodes | None:
+        """What the sub-samples of all lattices share."""
+        return sample_nodes(self.picture, self.scene, TRUTH_SAMPLES)
 
     def counts(self, lattice: Lattice, dark: np.ndarray, steps: Sequence[Step], pixel_m: float) -> PointCounts:
         """A picture's class (rows, cols), True in shadow, attached shadow among it, that a plan's steps drew, held against truth.

@@ -213,9 +213,7 @@ def seen_from(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, shape: 
     return out
 
 
-def far_from_edges(
-    dark: np.ndarray, there: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray
-) -> np.ndarray:
+def far_from_edges(dark: np.ndarray, there: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
     """Which pixels (n,) lie farther than distances (n,) from both sides of a shadow's boundary (``from_edges_px``): bool (n,), of
     the classes ``seen_from`` there alone.
     """

@@ -25,7 +25,7 @@ from terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, 
 from terrain.casters.rays import RayScene, trees_as_mesh
 from terrain.casters.reach import Casters, casters_of
 from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.geometry import GeometryBuffer, MapNodes
 from terrain.gbuffer.picture import geometry_of, shared_nodes
 from terrain.gbuffer.resolve import FOREST
 from terrain.gbuffer.shared_points import GRAZING, FacingNormals, facing_normals
@@ -105,9 +105,10 @@ def truth_of(
     light: str = SUN,
     kinds: tuple[CasterKind, ...] = ALL_KINDS,
     rays: RayScene | None = None,
+    nodes: MapNodes | None = None,
 ) -> Truth:
     """The classes of a buffer's points and where they are decidable, with ``samples`` (a square) sub-samples a pixel. ``rays`` is
-    what they can meet, where it was made before (``ray_scene``).
+    what they can meet, and ``nodes`` what the sub-samples share, where these were made before (``ray_scene``, ``sample_nodes``).
     """
     dark = np.zeros(buffer.there.shape, bool)
     turned = attached(buffer, scene, light) & buffer.there
@@ -118,12 +119,16 @@ def truth_of(
     decidable = buffer.there.copy()
     for offsets in (2.0, 4.0):
         decidable &= lit_from(buffer, scene, light, rays, offsets) == lit
-    views = sub_views(buffer.view, samples)
-    nodes = shared_nodes(scene, views, buffer.frame)
-    for view in views:
+    nodes = nodes or sample_nodes(buffer, scene, samples)
+    for view in sub_views(buffer.view, samples):
         sample = geometry_of(scene, view, buffer.frame, nodes=nodes)
         decidable &= sample.there & (lit_from(sample, scene, light, rays) == lit)
     return Truth(lit, turned, decidable, buffer.there)
+
+
+def sample_nodes(buffer: GeometryBuffer, scene: Scene, samples: int) -> MapNodes | None:
+    """The ground's nodes that the sub-samples of a map's buffer share, and of any with some of its pixels; else ``None``."""
+    return shared_nodes(scene, sub_views(buffer.view, samples), buffer.frame)
 
 
 def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:

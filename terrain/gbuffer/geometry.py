@@ -124,31 +124,36 @@ class MapNodes:
 def map_nodes(surface: Surface, views: Sequence[MapView], frame: LocalFrame) -> MapNodes:
     """The nodes that the points of views of one grid go by, in a frame."""
     reach = normal_reach(surface)
-    halo = reach + (reach + 1) // 2 + 1
-    row0, col0 = (min(int(np.floor(first)) for first in firsts) - halo for firsts in zip(*map(_first, views), strict=True))
-    last_row, last_col = (max(int(np.floor(last)) for last in lasts) for lasts in zip(*map(_last, views), strict=True))
-    window = surface.window(row0, col0, last_row + 2 + halo - row0, last_col + 2 + halo - col0, frame)
+    row0, col0, row1, col1 = _nodes_of(views, reach)
+    window = surface.window(row0, col0, row1 - row0, col1 - col0, frame)
     return MapNodes(window, _smooth_normals(window.position_frame_m, reach))
 
 
-def _first(view: MapView) -> tuple[float, float]:
-    return view.row0, view.col0
-
-
-def _last(view: MapView) -> tuple[float, float]:
-    return view.row0 + (view.rows - 1) * view.row_step, view.col0 + (view.cols - 1) * view.col_step
+def _nodes_of(views: Sequence[MapView], reach: int) -> tuple[int, int, int, int]:
+    """First row and column of the nodes that points of some views go by, and those after the last ones."""
+    halo = reach + (reach + 1) // 2 + 1
+    firsts = [(view.row0, view.col0) for view in views]
+    lasts = [(view.row0 + (view.rows - 1) * view.row_step, view.col0 + (view.cols - 1) * view.col_step) for view in views]
+    row0, col0 = np.floor(np.min(firsts, axis=0)).astype(int) - halo
+    row1, col1 = np.floor(np.max(lasts, axis=0)).astype(int) + 2 + halo
+    return int(row0), int(col0), int(row1), int(col1)
 
 
 def map_geometry(
     surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None, nodes: MapNodes | None = None
 ) -> GeometryBuffer:
     """The geometry buffer of a map view's bare ground (a block) in a frame: of all pixels, or of those ``wanted`` (rows, cols).
-    ``nodes`` are those that its points go by, where they were made before (``map_nodes``): a node is the same in every window.
+    ``nodes`` are those that its points go by, where they were made before (``map_nodes``): a node is the same in every window. Raises
+    ``ValueError`` where they do not reach so far.
     """
     wanted = np.ones((view.rows, view.cols), np.bool_) if wanted is None else wanted
     reach = normal_reach(surface)
     nodes = nodes or map_nodes(surface, [view], frame)
     window, smooth, sheet = nodes.window, nodes.smooth, nodes.window.sheet
+    row0, col0, row1, col1 = _nodes_of([view], reach)
+    ends = window.row0, window.col0, window.row0 + window.shape[0], window.col0 + window.shape[1]
+    if row0 < ends[0] or col0 < ends[1] or row1 > ends[2] or col1 > ends[3]:
+        raise ValueError(f"nodes: {ends}; the view needs {(row0, col0, row1, col1)}")
     row = view.row0 + np.arange(view.rows) * view.row_step - window.row0
     col = view.col0 + np.arange(view.cols) * view.col_step - window.col0
     on_nodes = view.on_nodes and reach == 1
