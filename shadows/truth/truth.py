@@ -255,8 +255,8 @@ def _full_detail(scene: Scene, part: MapView) -> MapView:
 def ray_scene(
     buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...], walked: bool = False
 ) -> RayScene:
-    """Everything of some kinds that can shade a buffer's points; the last one is kept, since building it costs most. ``walked``: for
-    so few rays to the sun that its ground is better walked than built (``RayScene``).
+    """Everything of some kinds that can shade a buffer's points; the last one is kept, since building it costs most. ``walked``:
+    for so few rays to the sun that its ground is better walked than built (``RayScene``).
     """
     trees = caster_trees(buffer, kinds)
     if trees is not None and scene.light is not None and not scene.lamps:
@@ -315,8 +315,8 @@ def _lit_over(
 def lit_towards(
     buffer: GeometryBuffer, rays: RayScene, direction: np.ndarray, offsets: float = 1.0, wanted: np.ndarray | None = None
 ) -> np.ndarray:
-    """Where a buffer's points, or those ``wanted`` (rows, cols) of them, see a direction (3,) of its frame: bool (rows, cols), False
-    off the surface.
+    """Where a buffer's points, or those ``wanted`` (rows, cols) of them, see a direction (3,) of its frame: bool (rows, cols),
+    False off the surface.
     """
     direction = np.asarray(direction, np.float64)
     source = light_position(direction, 0.0)

@@ -143,8 +143,8 @@ def map_geometry(
     surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None, nodes: MapNodes | None = None
 ) -> GeometryBuffer:
     """The geometry buffer of a map view's bare ground (a block) in a frame: of all pixels, or of those ``wanted`` (rows, cols).
-    ``nodes`` are those that its points go by, where they were made before (``map_nodes``): a node is the same in every window. Raises
-    ``ValueError`` where they do not reach so far.
+    ``nodes`` are those that its points go by, where they were made before (``map_nodes``): a node is the same in every window.
+    Raises ``ValueError`` where they do not reach so far.
     """
     wanted = np.ones((view.rows, view.cols), np.bool_) if wanted is None else wanted
     reach = normal_reach(surface)

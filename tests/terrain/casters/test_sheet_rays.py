@@ -55,8 +55,8 @@ def test_decidable_rays_end_where_those_of_embree_do(azimuth, altitude):
 
 @pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
 def test_nothing_slips_through_sides_and_corners(azimuth, altitude):
-    """From below, towards nodes, towards the middles of quads' sides, and towards the diagonals' middles; on ground that is never as
-    steep as the rays, for beside an outline rounding decides.
+    """From below, towards nodes, towards the middles of quads' sides, and towards the diagonals' middles; on ground that is never
+    as steep as the rays, for beside an outline rounding decides.
     """
     sun, nodes = direction_enu(azimuth, altitude), rough(7, 40, 40, 10.0).position_frame_m
     steepest = max(np.abs(np.diff(nodes[..., 2], axis=axis)).max() for axis in (0, 1)) / 10.0
@@ -68,6 +68,17 @@ def test_nothing_slips_through_sides_and_corners(azimuth, altitude):
     for place in places:
         for away_m in (1e-3, 1.0, 7.0):
             assert rays.blocked(place.reshape(-1, 3) - away_m * sun, sun).all()
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_sides_and_corners_belong_to_a_triangle(way):
+    """Where all is exact: vertical rays on whole and half metres of a level sheet."""
+    x, y = np.meshgrid(np.arange(9.0), -np.arange(9.0))
+    places = np.stack(np.meshgrid(np.arange(0.0, 8.1, 0.5), -np.arange(0.0, 8.1, 0.5)), -1).reshape(-1, 2)
+    starts = np.column_stack([places, np.full(len(places), -way)])
+    for falls in (False, True):
+        sheet = Sheet(np.stack([x, y, np.zeros((9, 9))], -1), np.full((8, 8), falls))
+        assert SheetRays([sheet], np.zeros(3)).blocked(starts, np.array([0.0, 0.0, way])).all()
 
 
 def test_one_sheet_is_walked_for_one_direction_after_another():
