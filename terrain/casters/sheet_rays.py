@@ -33,8 +33,8 @@ class Pyramids(NamedTuple):
 
     ``node`` (n, 3) float64 turned so that rays run along the third axis, and ``falls`` (m,) the quads' cuts. ``sheet`` (k, 5)
     int64: the first node, the nodes of a row, the first quad, the first and the last level of each in ``level`` (l, 3) int64: the
-    first box, and rows and columns of boxes. ``box`` (b, 5) float64: the least and largest first and second coordinates, and the largest
-    third one, of what is in it.
+    first box, and rows and columns of boxes. ``box`` (b, 5) float64: the least and largest first and second coordinates, and the
+    largest third one, of what is in it.
     """
 
     node: np.ndarray
