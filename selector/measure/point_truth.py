@@ -2,7 +2,8 @@
 
 Points are pixels of the picture, just as they are in it: as wide, with sub-samples where the picture's have them. They lie on
 lattices of every n-th pixel along rows and columns, each between those before it, so that every step of a probe adds points, and
-the same ones every time. How far the next edge of a shadow is takes all pixels, but only one ray from each.
+the same ones every time. Whether the next edge of a shadow is near takes the pixels round a point that is wrong, but only one ray
+from each.
 """
 
 from __future__ import annotations
@@ -19,13 +20,15 @@ from selector.measure.probing import SURE_Z
 from selector.measure.view_truth import TRUTH_SAMPLES
 from shadows.attached import attached
 from shadows.plan import Step
-from shadows.truth.metrics import INTERIOR_PX, from_edges_px
-from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene, truth_of
+from shadows.truth.metrics import INTERIOR_PX, far_from_edges, seen_from
+from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene, sample_nodes, truth_of
 from shadows.visibility import without_hidden_points
 from terrain.casters.rays import RayScene
 from terrain.casters.reach import Casters
-from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.geometry import GeometryBuffer, MapNodes
 from terrain.gbuffer.subsampled import subsampled_points
+from terrain.geo.grid import MapView
+from terrain.level.level import SUN
 from terrain.scene import Scene
 
 LATTICE_POINTS = 10_000
@@ -102,17 +105,22 @@ class PictureTruth:
         while rows * cols / (2 * self.every) ** 2 >= LATTICE_POINTS:
             self.every *= 2
         self.attached = attached(picture, scene, light)
+        self._asked, self._dark = np.zeros((rows, cols), bool), np.zeros((rows, cols), bool)
 
     @property
     def lattices(self) -> int:
         """How many there are."""
         return self.every**2
 
+    def prepare(self) -> None:
+        """Make what all lattices share, which would else be part of what the first one takes."""
+        _ = self.rays, self.nodes
+
     def lattice(self, number: int) -> Lattice:
         """One of them."""
         first = lattice_offsets(self.every)[number]
         full = subsampled_points(self.picture, self.every, first)
-        truth = truth_of(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays)
+        truth = truth_of(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays, nodes=self.nodes)
         buffer = without_hidden_points(full, self.scene, self.light, self._effects)
         if buffer is not full:
             truth = replace(truth, decidable=truth.decidable & buffer.there, there=truth.there & buffer.there)
@@ -120,8 +128,14 @@ class PictureTruth:
 
     @cached_property
     def rays(self) -> RayScene:
-        """What rays can meet: making it takes longer than they do."""
-        return ray_scene(self.picture, self.scene, self.casters, ALL_KINDS)
+        """What rays can meet. In a map the sun's are too few for a copy of its ground to be worth while."""
+        walked = isinstance(self.picture.view, MapView) and self.light == SUN
+        return ray_scene(self.picture, self.scene, self.casters, ALL_KINDS, walked)
+
+    @cached_property
+    def nodes(self) -> MapNodes | None:
+        """What the sub-samples of all lattices share."""
+        return sample_nodes(self.picture, self.scene, TRUTH_SAMPLES)
 
     def counts(self, lattice: Lattice, dark: np.ndarray, steps: Sequence[Step], pixel_m: float) -> PointCounts:
         """A picture's class (rows, cols), True in shadow, attached shadow among it, that a plan's steps drew, held against truth.
@@ -142,10 +156,14 @@ class PictureTruth:
             return 0
         drawing: Sequence[Step | None] = steps or [None]
         texel_px = np.max([texel_footprint_px(self.scene, step, lattice.buffer, pixel_m) for step in drawing], axis=0)
-        return int(np.count_nonzero(wrong & (lattice.of_picture(self._edge_px) > np.maximum(INTERIOR_PX, 2.0 * texel_px))))
+        distance_px = np.maximum(INTERIOR_PX, 2.0 * texel_px[wrong]).astype(np.float64)
+        row, col = (first + lattice.every * index for first, index in zip(lattice.first, np.nonzero(wrong), strict=True))
+        self._ask(seen_from(row, col, distance_px, self.picture.there.shape))
+        return int(np.count_nonzero(far_from_edges(self._dark, self.picture.there, row, col, distance_px)))
 
-    @cached_property
-    def _edge_px(self) -> np.ndarray:
-        """How far the nearest edge of truth's shadows is from every pixel (rows, cols), pixels: by one ray from each."""
-        there = self.picture.there
-        return from_edges_px(~lit_from(self.picture, self.scene, self.light, self.rays) & there, there)
+    def _ask(self, pixels: np.ndarray) -> None:
+        """Have truth's class, by one ray, of some pixels (rows, cols)."""
+        new = pixels & self.picture.there & ~self._asked
+        if new.any():
+            self._dark |= new & ~lit_from(self.picture, self.scene, self.light, self.rays, wanted=new)
+            self._asked |= new

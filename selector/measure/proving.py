@@ -71,7 +71,7 @@ class SceneProver:
         self._pixel_m = planner.descriptor.pixel_m
         self._doublings = 0
         self._lattices: list[list[Lattice]] = []
-        self._points_s = 0.0
+        self._points_s = self._coverage_s = 0.0
         self._dark: dict[int, list[np.ndarray]] = {}
         self._parts: dict[int, list[np.ndarray]] = {}
         self._steps: dict[int, Sequence[Step]] = {}
@@ -118,11 +118,12 @@ class SceneProver:
 
     def _known(self) -> list[list[Lattice]]:
         """The lattices so far, picture by picture."""
-        start = time.perf_counter()
         while len(self._lattices) < len(self._truths):
             self._lattices.append([])
         for truth, its in zip(self._truths, self._lattices, strict=True):
+            truth.prepare()
             while len(its) < min(2**self._doublings, truth.lattices):
+                start = time.perf_counter()
                 its.append(truth.lattice(len(its)))
                 self._points_s = time.perf_counter() - start
         return self._lattices
@@ -143,11 +144,14 @@ class SceneProver:
         """The same where coverage counts: the mean difference of shares of shadow in blocks of pixels."""
         blocks = COVERAGE_BLOCKS * 2**self._doublings
         if not self._shares:
-            scene = self._pictures.scene
+            start = time.perf_counter()
             self._shares = [
-                coverage_truth(each.own, scene, casters, COVERAGE_BLOCK_PX, blocks, light=self._light)
-                for each, casters in self._pictures.drawn
+                coverage_truth(
+                    truth.picture, truth.scene, truth.casters, COVERAGE_BLOCK_PX, blocks, light=self._light, rays=truth.rays
+                )
+                for truth in self._truths
             ]
+            self._coverage_s = time.perf_counter() - start
         off = np.concatenate([
             np.abs(block_shares(1.0 - part) - shares).ravel()
             for part, shares in zip(self._parts[which], self._shares, strict=True)
@@ -168,7 +172,7 @@ class SceneProver:
         """How long it would take to ask truth at more points, seconds; ``None`` where all of them are known."""
         if self._doublings == MOST_DOUBLINGS or (self._all_known and not self.foggy):
             return None
-        return self._points_s * 2**self._doublings * len(self._truths)
+        return self._points_s * 2**self._doublings * len(self._truths) + 2.0 * self._coverage_s
 
     def more_points(self) -> None:
         """Ask truth at more points."""

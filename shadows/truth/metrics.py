@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 
 from shadows.truth.truth import Truth
 from terrain.cache import MIB, cached
+from terrain.compiled import compiled
 
 INTERIOR_PX = 2.0
 """Errors within this of truth's boundary (and within two texel footprints) are the boundary's, not the interior's."""
@@ -203,6 +204,60 @@ def from_edges_px(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
     """Each pixel's distance (rows, cols) to the nearest one on either side of a shadow's boundary; infinite without any."""
     edge = boundary(dark, there) | boundary(there & ~dark, there)
     return distance_transform_edt(~edge) if edge.any() else np.full(dark.shape, np.inf)
+
+
+def seen_from(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Which pixels of a picture, bool of a shape, decide whether a shadow's boundary runs within distances (n,) of pixels (n,)."""
+    out = np.zeros(shape, bool)
+    _mark_round(row, col, distance_px, out)
+    return out
+
+
+def far_from_edges(dark: np.ndarray, there: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
+    """Which pixels (n,) lie farther than distances (n,) from both sides of a shadow's boundary (``from_edges_px``): bool (n,), of
+    the classes ``seen_from`` there alone.
+    """
+    return _far_from_edges(dark, there, row, col, distance_px)
+
+
+@compiled
+def _mark_round(row, col, distance, out):
+    rows, cols = out.shape
+    for n in range(len(row)):
+        reach = int(min(distance[n], rows + cols)) + 1
+        for i in range(max(row[n] - reach, 0), min(row[n] + reach + 1, rows)):
+            for j in range(max(col[n] - reach, 0), min(col[n] + reach + 1, cols)):
+                out[i, j] = True
+
+
+@compiled
+def _far_from_edges(dark, there, row, col, distance):
+    rows, cols = dark.shape
+    out = np.ones(len(row), np.bool_)
+    for n in range(len(row)):
+        reach = int(min(distance[n], rows + cols))
+        for i in range(max(row[n] - reach, 0), min(row[n] + reach + 1, rows)):
+            for j in range(max(col[n] - reach, 0), min(col[n] + reach + 1, cols)):
+                near = (i - row[n]) ** 2 + (j - col[n]) ** 2 <= distance[n] * distance[n]
+                if near and there[i, j] and _is_edge(dark, there, i, j):
+                    out[n] = False
+                    break
+            if not out[n]:
+                break
+    return out
+
+
+@compiled
+def _is_edge(dark, there, i, j):
+    """Whether one of the four pixels beside one is of the other class."""
+    rows, cols = dark.shape
+    own = dark[i, j]
+    return (
+        (i > 0 and there[i - 1, j] and dark[i - 1, j] != own)
+        or (i + 1 < rows and there[i + 1, j] and dark[i + 1, j] != own)
+        or (j > 0 and there[i, j - 1] and dark[i, j - 1] != own)
+        or (j + 1 < cols and there[i, j + 1] and dark[i, j + 1] != own)
+    )
 
 
 @cached("light", 512 * MIB)

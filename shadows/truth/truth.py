@@ -25,8 +25,8 @@ from terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, 
 from terrain.casters.rays import RayScene, trees_as_mesh
 from terrain.casters.reach import Casters, casters_of
 from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.geometry import GeometryBuffer, MapNodes
+from terrain.gbuffer.picture import geometry_of, shared_nodes
 from terrain.gbuffer.resolve import FOREST
 from terrain.gbuffer.shared_points import GRAZING, FacingNormals, facing_normals
 from terrain.gbuffer.smooth_ground import on_smooth_ground
@@ -105,9 +105,10 @@ def truth_of(
     light: str = SUN,
     kinds: tuple[CasterKind, ...] = ALL_KINDS,
     rays: RayScene | None = None,
+    nodes: MapNodes | None = None,
 ) -> Truth:
     """The classes of a buffer's points and where they are decidable, with ``samples`` (a square) sub-samples a pixel. ``rays`` is
-    what they can meet, where it was made before (``ray_scene``).
+    what they can meet, and ``nodes`` what the sub-samples share, where these were made before (``ray_scene``, ``sample_nodes``).
     """
     dark = np.zeros(buffer.there.shape, bool)
     turned = attached(buffer, scene, light) & buffer.there
@@ -118,10 +119,16 @@ def truth_of(
     decidable = buffer.there.copy()
     for offsets in (2.0, 4.0):
         decidable &= lit_from(buffer, scene, light, rays, offsets) == lit
+    nodes = nodes or sample_nodes(buffer, scene, samples)
     for view in sub_views(buffer.view, samples):
-        sample = geometry_of(scene, view, buffer.frame)
+        sample = geometry_of(scene, view, buffer.frame, nodes=nodes)
         decidable &= sample.there & (lit_from(sample, scene, light, rays) == lit)
     return Truth(lit, turned, decidable, buffer.there)
+
+
+def sample_nodes(buffer: GeometryBuffer, scene: Scene, samples: int) -> MapNodes | None:
+    """The ground's nodes that the sub-samples of a map's buffer share, and of any with some of its pixels; else ``None``."""
+    return shared_nodes(scene, sub_views(buffer.view, samples), buffer.frame)
 
 
 def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
@@ -168,11 +175,12 @@ def coverage_truth(
     blocks: int = 256,
     samples: int = 64,
     light: str = SUN,
+    rays: RayScene | None = None,
 ) -> np.ndarray:
     """True shadow shares of blocks of ``block_px`` pixels: (rows // block_px, cols // block_px), NaN where none was taken.
 
     At most ``blocks`` of those with a surface are taken, stratified over the picture; a pixel has ``samples`` (a square)
-    regular sub-samples.
+    regular sub-samples. ``rays`` as for ``truth_of``.
     """
     shape = tuple(size // block_px for size in buffer.there.shape)
     out = np.full(shape, np.nan)
@@ -183,7 +191,7 @@ def coverage_truth(
         return out
     bounds = np.linspace(0, len(candidates), min(blocks, len(candidates)) + 1).astype(int)
     rng = np.random.default_rng(0)
-    rays = ray_scene(buffer, scene, casters, ALL_KINDS)
+    rays = rays or ray_scene(buffer, scene, casters, ALL_KINDS)
     dark_everywhere = light == SUN and not scene.sun_is_up
     side = int(round(samples**0.5))
     for first, last in zip(bounds[:-1], bounds[1:], strict=True):
@@ -244,8 +252,12 @@ def _full_detail(scene: Scene, part: MapView) -> MapView:
 
 
 @cached("light", 2048 * MIB)
-def ray_scene(buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...]) -> RayScene:
-    """Everything of some kinds that can shade a buffer's points; the last one is kept, since building it costs most."""
+def ray_scene(
+    buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...], walked: bool = False
+) -> RayScene:
+    """Everything of some kinds that can shade a buffer's points; the last one is kept, since building it costs most. ``walked``:
+    for so few rays to the sun that its ground is better walked than built (``RayScene``).
+    """
     trees = caster_trees(buffer, kinds)
     if trees is not None and scene.light is not None and not scene.lamps:
         rotation, translation = scene.light.from_frame(buffer.frame)
@@ -253,7 +265,7 @@ def ray_scene(buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tup
         pixel_m = 2.0 * pixels_m(buffer)  # sub-samples lie beside the pixels' points
         trees = trees_in_the_way(trees, rotation, translation, low - pixel_m, high + pixel_m)
     alpha = [] if trees is None or not len(trees) else [trees_as_mesh(trees)]
-    return RayScene(caster_sheets(scene, buffer, casters, kinds), caster_meshes(scene, buffer, kinds), alpha)
+    return RayScene(caster_sheets(scene, buffer, casters, kinds), caster_meshes(scene, buffer, kinds), alpha, walked)
 
 
 def pixels_m(buffer: GeometryBuffer) -> float:
@@ -266,13 +278,22 @@ def pixels_m(buffer: GeometryBuffer) -> float:
     return float(np.nanmax(sides_m, initial=0.0))
 
 
-def lit_from(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, offsets: float = 1.0) -> np.ndarray:
-    """Where a buffer's points see a light: bool (rows, cols), False off the surface."""
+def lit_from(
+    buffer: GeometryBuffer,
+    scene: Scene,
+    light: str,
+    rays: RayScene,
+    offsets: float = 1.0,
+    wanted: np.ndarray | None = None,
+) -> np.ndarray:
+    """Where a buffer's points, or those ``wanted`` (rows, cols) of them, see a light: bool (rows, cols), False off the surface."""
     if light == SUN:
         assert scene.sun is not None
-        return lit_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offsets)
+        return lit_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offsets, wanted)
     source = scene.light_position(light, buffer.frame)
     facing = buffer.there & ~attached(buffer, scene, light)
+    if wanted is not None:
+        facing &= wanted
     buffer = on_smooth_ground(buffer, source)
     to_light = np.array(source[:3]) - buffer.position_frame_m
     return _lit_over(buffer, rays, facing, facing_normals(buffer, source), to_light, offsets)
@@ -291,13 +312,19 @@ def _lit_over(
     return out
 
 
-def lit_towards(buffer: GeometryBuffer, rays: RayScene, direction: np.ndarray, offsets: float = 1.0) -> np.ndarray:
-    """Where a buffer's points see a direction (3,) of its frame: bool (rows, cols), False off the surface."""
+def lit_towards(
+    buffer: GeometryBuffer, rays: RayScene, direction: np.ndarray, offsets: float = 1.0, wanted: np.ndarray | None = None
+) -> np.ndarray:
+    """Where a buffer's points, or those ``wanted`` (rows, cols) of them, see a direction (3,) of its frame: bool (rows, cols),
+    False off the surface.
+    """
     direction = np.asarray(direction, np.float64)
     source = light_position(direction, 0.0)
     buffer = on_smooth_ground(buffer, source)
     normals = facing_normals(buffer, source)
     facing = buffer.there & ~turned_away(normals.normal_frame, buffer.kind == FOREST, direction)
+    if wanted is not None:
+        facing &= wanted
     start = _lifted(buffer, facing, normals, direction, offsets * rays.offset_m)
     out = np.zeros(buffer.there.shape, bool)
     out[facing] = ~rays.blocked(start, direction)

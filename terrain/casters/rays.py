@@ -1,5 +1,8 @@
 """Rays through the very triangles that are drawn: Embree, with offsets derived from its float32.
 
+Few rays of one direction are walked through sheets of nodes instead (``terrain.casters.sheet_rays``), from the same starts: their
+float64 needs no offset as large, but what is asked at offsets is to be the same.
+
 **Offset.** Embree works in float32. Coordinates are taken from the middle of the geometry, so that with X the largest one
 every vertex and every origin is off by at most half a unit in the last place per axis: sqrt(3) X 2^-24. A triangle's plane and a
 start on it may so be apart by twice that; the intersection itself adds a few units more (Embree's own bound for its robust
@@ -22,6 +25,8 @@ from typing import Any
 import numpy as np
 
 from terrain.cache import bytes_of
+from terrain.casters.sheet_rays import SheetRays
+from terrain.compiled import compiled
 from terrain.errors import RenderError
 from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.ground.sheet import Sheet
@@ -56,7 +61,9 @@ class RayScene:
     """What rays can meet: sheets of nodes; meshes of vertices (n, 3) and triangles (m, 3); and alpha-tested meshes. All float64
     in one frame, metres.
 
-    ``offset_m`` is the derived distance by which a start is lifted off its triangle.
+    ``offset_m`` is the derived distance by which a start is lifted off its triangle. ``walked``: rays are few and all in one
+    direction, so they are walked through the sheets (``terrain.casters.sheet_rays``); else Embree takes these as well, which makes
+    a copy of them and sorts it first.
     """
 
     def __init__(
@@ -64,20 +71,22 @@ class RayScene:
         sheets: Iterable[Sheet] = (),
         meshes: Iterable[tuple[np.ndarray, np.ndarray]] = (),
         alpha: Iterable[AlphaMesh] = (),
+        walked: bool = False,
     ) -> None:
-        parts = [(sheet.position_frame_m.reshape(-1, 3), sheet.triangles) for sheet in sheets if sheet.falls.size]
-        parts += list(meshes)
+        ground, solids = [sheet for sheet in sheets if sheet.falls.size], list(meshes)
         self._alpha_meshes = tuple(alpha)
-        known = [part[np.isfinite(part[:, 2])] for part, _ in parts] + [mesh.vertices_m for mesh in self._alpha_meshes]
-        points = [part for part in known if len(part)]
-        low = np.min([part.min(axis=0) for part in points], axis=0) if points else np.zeros(3)
-        high = np.max([part.max(axis=0) for part in points], axis=0) if points else np.zeros(3)
+        vertices = [sheet.position_frame_m for sheet in ground] + [part for part, _ in solids]
+        vertices += [mesh.vertices_m for mesh in self._alpha_meshes]
+        low, high = bounds_of(vertices)
         self._centre = (low + high) / 2
         self.offset_m = float(OFFSET_ULPS * 2.0**-24 * max(np.abs(high - low).max() / 2, 1.0))
-        opaque = [(part, triangles) for part, triangles in parts if len(triangles)]
+        self._walked = SheetRays(ground, self._centre) if walked and ground else None
+        parts = [] if walked else [(sheet.position_frame_m.reshape(-1, 3), sheet.triangles) for sheet in ground]
+        opaque = [(part, triangles) for part, triangles in parts + solids if len(triangles)]
         self._opaque = self._embree(opaque) if opaque else None
         triangles = sum(len(each) for _, each in opaque) + sum(len(mesh.triangles) for mesh in self._alpha_meshes)
         self.nbytes = TRIANGLE_BYTES * triangles + bytes_of(self._alpha_meshes)
+        self.nbytes += 0 if self._walked is None else self._walked.nbytes
         self._alpha = [self._embree([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
 
     def _embree(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> Any:
@@ -96,13 +105,18 @@ class RayScene:
     def blocked(self, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray | None = None) -> np.ndarray:
         """Whether a ray (n, 3) from a start towards a unit direction (3,) or (n, 3) meets anything opaque: bool (n,).
 
-        ``length_m`` (n,) is how far the rays go: what lies beyond stops none. ``None``: without end.
+        ``length_m`` (n,) is how far the rays go: what lies beyond stops none. ``None``: without end. Where sheets are walked all
+        rays have one direction, and no end: raises ``ValueError``.
         """
+        if self._walked is not None and (np.ndim(direction) > 1 or length_m is not None):
+            raise ValueError(f"direction: {np.shape(direction)}, with lengths or not; rays through walked sheets: (3,), without")
         start = (start_m - self._centre).astype(np.float32)
         along = np.ascontiguousarray(np.broadcast_to(np.asarray(direction, np.float32), start.shape))
         stopped = np.zeros(len(start), bool)
         if not len(start):
             return stopped
+        if self._walked is not None:
+            stopped |= self._walked.blocked(start_m, direction)
         if self._opaque is not None:
             within = {} if length_m is None else {"dists": length_m.astype(np.float32)}
             stopped |= self._opaque.run(start, along, query="OCCLUDED", **within) != -1
@@ -138,6 +152,22 @@ class RayScene:
             going = going[~opaque]
         stopped[going] = True
         return stopped
+
+
+def bounds_of(vertices: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the largest coordinates (3,) of points (..., 3) that are known; 0 without any."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for points in vertices:
+        _widen(points.reshape(-1, 3), low, high)
+    return (low, high) if np.isfinite(low).all() else (np.zeros(3), np.zeros(3))
+
+
+@compiled
+def _widen(points, low, high):
+    for n in range(len(points)):
+        if np.isfinite(points[n, 2]):
+            for k in range(3):
+                low[k], high[k] = min(low[k], points[n, k]), max(high[k], points[n, k])
 
 
 def sample_alpha(alpha: np.ndarray, uv: np.ndarray, layer: np.ndarray | None = None) -> np.ndarray:

@@ -5,6 +5,7 @@ The buffer of a map block is made by arithmetic, without rasterising (``terrain.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -112,19 +113,50 @@ class GeometryBuffer:
         return Shown(self.there, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
 
 
-def map_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None) -> GeometryBuffer:
-    """The geometry buffer of a map view's bare ground (a block) in a frame: of all pixels, or of those ``wanted`` (rows, cols)."""
+@dataclass(frozen=True, eq=False)
+class MapNodes:
+    """The nodes that points of a map's bare ground go by, and their smooth normals (rows, cols, 3)."""
+
+    window: SurfaceWindow
+    smooth: np.ndarray
+
+
+def map_nodes(surface: Surface, views: Sequence[MapView], frame: LocalFrame) -> MapNodes:
+    """The nodes that the points of views of one grid go by, in a frame."""
+    reach = normal_reach(surface)
+    row0, col0, row1, col1 = _nodes_of(views, reach)
+    window = surface.window(row0, col0, row1 - row0, col1 - col0, frame)
+    return MapNodes(window, _smooth_normals(window.position_frame_m, reach))
+
+
+def _nodes_of(views: Sequence[MapView], reach: int) -> tuple[int, int, int, int]:
+    """First row and column of the nodes that points of some views go by, and those after the last ones."""
+    halo = reach + (reach + 1) // 2 + 1
+    firsts = [(view.row0, view.col0) for view in views]
+    lasts = [(view.row0 + (view.rows - 1) * view.row_step, view.col0 + (view.cols - 1) * view.col_step) for view in views]
+    row0, col0 = np.floor(np.min(firsts, axis=0)).astype(int) - halo
+    row1, col1 = np.floor(np.max(lasts, axis=0)).astype(int) + 2 + halo
+    return int(row0), int(col0), int(row1), int(col1)
+
+
+def map_geometry(
+    surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None, nodes: MapNodes | None = None
+) -> GeometryBuffer:
+    """The geometry buffer of a map view's bare ground (a block) in a frame: of all pixels, or of those ``wanted`` (rows, cols).
+    ``nodes`` are those that its points go by, where they were made before (``map_nodes``): a node is the same in every window.
+    Raises ``ValueError`` where they do not reach so far.
+    """
     wanted = np.ones((view.rows, view.cols), np.bool_) if wanted is None else wanted
     reach = normal_reach(surface)
-    row = view.row0 + np.arange(view.rows) * view.row_step
-    col = view.col0 + np.arange(view.cols) * view.col_step
+    nodes = nodes or map_nodes(surface, [view], frame)
+    window, smooth, sheet = nodes.window, nodes.smooth, nodes.window.sheet
+    row0, col0, row1, col1 = _nodes_of([view], reach)
+    ends = window.row0, window.col0, window.row0 + window.shape[0], window.col0 + window.shape[1]
+    if row0 < ends[0] or col0 < ends[1] or row1 > ends[2] or col1 > ends[3]:
+        raise ValueError(f"nodes: {ends}; the view needs {(row0, col0, row1, col1)}")
+    row = view.row0 + np.arange(view.rows) * view.row_step - window.row0
+    col = view.col0 + np.arange(view.cols) * view.col_step - window.col0
     on_nodes = view.on_nodes and reach == 1
-    halo = reach + (reach + 1) // 2 + 1
-    row0, col0 = int(np.floor(row[0])) - halo, int(np.floor(col[0])) - halo
-    rows, cols = int(np.floor(row[-1])) + 2 + halo - row0, int(np.floor(col[-1])) + 2 + halo - col0
-    window = surface.window(row0, col0, rows, cols, frame)
-    sheet, smooth = window.sheet, _smooth_normals(window.position_frame_m, reach)
-    row, col = row - row0, col - col0
     there, position, height, normal, shading, crease, triangle = map_points(
         window.position_frame_m, window.height_m, window.there, sheet.falls, sheet.normals_frame, smooth, row, col, wanted
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol, get_args
 
@@ -10,7 +11,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from terrain.cache import MIB, cached
-from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
+from terrain.gbuffer.geometry import GeometryBuffer, MapNodes, map_geometry, map_nodes
 from terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground_mesh
 from terrain.gbuffer.id_buffer import IdBuffer, rasterise_map, rasterise_perspective
 from terrain.gbuffer.map_columns import column_geometry
@@ -63,15 +64,25 @@ def geometry_of(
     frame: LocalFrame | None = None,
     max_triangles: int = MAX_GROUND_TRIANGLES,
     wanted: np.ndarray | None = None,
+    nodes: MapNodes | None = None,
 ) -> GeometryBuffer:
-    """The geometry buffer of a view (of a block, if it is a map). Of a map, only the pixels ``wanted`` (rows, cols) show anything.
+    """The geometry buffer of a view (of a block, if it is a map). Of a map, only the pixels ``wanted`` (rows, cols) show anything;
+    ``nodes`` are those that it shares with other views (``shared_nodes``).
 
     Raises ``GraphicsError``.
     """
     frame = frame or frame_of(scene, view)
     if isinstance(view, PerspectiveView):
         return buffer_of(scene, view, RasterisedView(scene, view, frame, max_triangles))
-    return _map_buffer(scene, view, frame, wanted)
+    return _map_buffer(scene, view, frame, wanted, nodes)
+
+
+def shared_nodes(scene: Scene, views: Sequence[MapView | PerspectiveView], frame: LocalFrame) -> MapNodes | None:
+    """The nodes of a map's smooth ground that several views of one grid go by; ``None`` where they share none."""
+    maps = [view for view in views if isinstance(view, MapView)]
+    if not maps or scene.elevation.surface == "blocks":
+        return None
+    return map_nodes(scene.surface(maps[0].grid), maps, frame)
 
 
 class Unresolved(Protocol):
@@ -162,9 +173,14 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
     )  # fmt: skip
 
 
-def _map_buffer(scene: Scene, view: MapView, frame: LocalFrame, wanted: np.ndarray | None) -> GeometryBuffer:
-    geometry = column_geometry if scene.elevation.surface == "blocks" else map_geometry
-    buffer = geometry(scene.surface(view.grid), view, frame, wanted)
+def _map_buffer(
+    scene: Scene, view: MapView, frame: LocalFrame, wanted: np.ndarray | None, nodes: MapNodes | None
+) -> GeometryBuffer:
+    surface = scene.surface(view.grid)
+    if scene.elevation.surface == "blocks":
+        buffer = column_geometry(surface, view, frame, wanted)
+    else:
+        buffer = map_geometry(surface, view, frame, wanted, nodes)
     image = imagery_of(scene)
     if image is not None:
         buffer = replace(buffer, albedo=_draped(scene, image, view))

@@ -12,11 +12,12 @@ from selector.measure.point_truth import PictureTruth, PointCounts, lattice_offs
 from selector.measure.view_truth import TRUTH_SAMPLES
 from shadows.render import render_frame
 from shadows.truth.metrics import errors_of
-from shadows.truth.truth import truth_of
+from shadows.truth.truth import ALL_KINDS, ray_scene, truth_of
 from terrain.casters.reach import casters_of
 from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.subsampled import subsampled_view
+from terrain.gbuffer.subsampled import subsampled_points, subsampled_view
 from terrain.level.level import SUN, load_level
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 from tests.render import plan_of
 
@@ -67,6 +68,39 @@ def test_a_lattice_has_the_truth_of_the_whole_picture(gl, request, level, name):
             assert np.array_equal(getattr(lattice.truth, field), lattice.of_picture(getattr(whole, field)))
         differ = lattice.truth.decidable != lattice.of_picture(whole.decidable)
         assert differ.mean() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("level", "altitude"),
+    [
+        ("jacksboro", 7.0),
+        ("jacksboro_wooded", 35.0),
+        ("mountain/vinschgau_250m_utm32.tif", 7.0),
+        ("urban/bilbao/DEM.tif", 7.0),
+    ],
+)
+def test_a_map_s_rays_are_walked_to_the_same_truth(gl, request, tmp_path, level, altitude):
+    """Point by point, decidable points of real ground, with its trees and the ground towards the sun."""
+    if level.endswith(".tif"):
+        path = tmp_path / "level.yaml"
+        source = str(request.getfixturevalue("shared_data") / level)
+        path.write_text(json.dumps({"version": 1, "terrain": {"source": source}}), encoding="utf-8")
+    else:
+        path = find_level(level)
+    scene = build_scene(load_level(path)).with_sun(SunSpec(azimuth=237.0, altitude=altitude))
+    full = scene.view("map")
+    view = full.part(full.rows // 3, full.cols // 3, 200, 280)
+    truth = picture_truth(scene, view)
+    embree = ray_scene(truth.picture, scene, truth.casters, ALL_KINDS)
+    assert truth.casters.patches and embree.offset_m == truth.rays.offset_m
+    for number in (0, 3):
+        found = truth.lattice(number).truth
+        points = subsampled_points(truth.picture, truth.every, lattice_offsets(truth.every)[number])
+        expected = truth_of(points, scene, truth.casters, TRUTH_SAMPLES, rays=embree)
+        both = found.decidable & expected.decidable
+        assert np.array_equal(found.lit[both], expected.lit[both])
+        assert (found.decidable != expected.decidable).mean() < 1e-3
+        assert both.mean() > 0.5 and 0.02 < expected.lit[both].mean() < 0.98
 
 
 @pytest.mark.parametrize("name", ["eye", "map"])

@@ -15,8 +15,11 @@ from shadows.truth.metrics import (
     edge_distances,
     edge_sight,
     errors_of,
+    far_from_edges,
     far_inside,
+    from_edges_px,
     interior,
+    seen_from,
     sight_of,
     soft_error,
 )
@@ -249,3 +252,23 @@ def test_edges_see_the_components_that_they_meet():
     seen = edge_sight(found, truth(~real))
     assert seen.sees == 0.5 and seen.wrong_cast == pytest.approx((20 + 20 + 100) / 220)
     assert edge_sight(np.zeros_like(real), truth(~real)).sees == 0.0
+
+
+@pytest.mark.parametrize("shape", [(40, 60), (1, 30), (25, 2)])
+def test_edges_near_a_pixel_are_told_by_the_pixels_round_it(shape):
+    """Blots and holes: whatever lies beyond ``seen_from`` does not matter, and what is near is what all distances say."""
+    rng = np.random.default_rng(4)
+    there = rng.random(shape) < 0.97
+    dark = np.zeros(shape, bool)
+    for row, col in zip(rng.integers(0, shape[0], 3), rng.integers(0, shape[1], 3), strict=True):
+        dark[row : row + 9, col : col + 7] = True
+    dark &= there
+    row, col = np.nonzero(there)
+    for distance in (0.5, 2.0, 3.7, 8.0, 1000.0):
+        far = from_edges_px(dark, there)[row, col] > distance
+        assert np.array_equal(far_from_edges(dark, there, row, col, np.full(len(row), distance)), far)
+        for k in range(0, len(row), 97):
+            only = row[k : k + 1], col[k : k + 1], np.array([distance])
+            elsewhere = ~seen_from(*only, shape) & there
+            assert far_from_edges(dark ^ elsewhere, there, *only)[0] == far[k]
+    assert far_from_edges(there & False, there, row, col, np.full(len(row), 5.0)).all()

@@ -9,12 +9,18 @@ from hypothesis import strategies as st
 from morecantile import tms as matrix_sets
 from pyproj import CRS, Geod, Transformer
 
+from api.catalogue import find_level
 from api.layers import frame_layer
+from shadows.truth.truth import sub_views
 from terrain.gbuffer.geometry import map_geometry
+from terrain.gbuffer.picture import frame_of, geometry_of, shared_nodes
+from terrain.gbuffer.shared_points import facing_normals
+from terrain.gbuffer.subsampled import subsampled_view
 from terrain.geo.grid import BLOCK_PX, blocks_of, map_grid, map_view, tile_grid
 from terrain.geo.world import World
 from terrain.ground.sheet import sheet_triangles
 from terrain.level.level import load_level
+from terrain.lights import light_position
 from terrain.scene import build_scene
 from tests.rasters import ENGINEERING
 from tests.render import block_at, render
@@ -172,3 +178,31 @@ def test_neighbouring_frames_place_the_same_ground_alike():
         local = frame.frame_from_earth @ (point - frame.origin_earth_m)
         assert np.abs(local).max() < 25_000
         np.testing.assert_allclose(frame.frame_from_earth.T @ local + frame.origin_earth_m, point, atol=1e-8)
+
+
+def test_sub_samples_that_share_nodes_are_the_same_to_the_bit():
+    """On nodes of their own, between them, and every fourth of them; with fewer nodes than a view needs it is refused."""
+    scene = build_scene(load_level(find_level("jacksboro")))
+    full = scene.view("map")
+    for view in (full.part(100, 200, 90, 70), subsampled_view(full.part(301, 202, 90, 70), 4)):
+        frame, views = frame_of(scene, view), sub_views(view, 4)
+        nodes = shared_nodes(scene, views, frame)
+        for each in views:
+            alone, shared = geometry_of(scene, each, frame), geometry_of(scene, each, frame, nodes=nodes)
+            assert alone.there.any()
+            for name in (
+                "there",
+                "position_frame_m",
+                "height_m",
+                "normal_frame",
+                "shading_normal_frame",
+                "crease",
+                "kind",
+                "lift_m",
+            ):
+                assert np.array_equal(getattr(alone, name), getattr(shared, name), equal_nan=True), name
+            light = light_position(np.array([0.6, 0.0, 0.8]), 0.0)
+            for one, other in zip(facing_normals(alone, light), facing_normals(shared, light), strict=True):
+                assert np.array_equal(one, other, equal_nan=True)
+        with pytest.raises(ValueError, match="nodes"):
+            geometry_of(scene, view.shifted(2.0, 0.0), frame, nodes=nodes)

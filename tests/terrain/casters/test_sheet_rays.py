@@ -1,0 +1,102 @@
+"""Rays walked through sheets meet what Embree's meet, and slip through nowhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from terrain.casters.rays import RayScene
+from terrain.casters.sheet_rays import SheetRays
+from terrain.geo.sun import direction_enu
+from terrain.ground.sheet import Sheet, sheet_of
+from tests.terrain.casters.test_rays import box
+
+SUNS = [(237.0, 3.0), (120.0, 15.0), (0.0, 30.0), (200.0, 62.0), (0.0, 90.0)]
+
+
+def rough(seed: int, rows: int, cols: int, step_m: float, holes: int = 0, first_col: int = 0) -> Sheet:
+    """Rough ground, bent as the earth's is, with missing nodes."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid((first_col + np.arange(cols)) * step_m, -np.arange(rows) * step_m)
+    z = rng.normal(size=(rows, cols)).cumsum(0).cumsum(1) * 0.02 * step_m + rng.normal(size=(rows, cols)) * 0.1 * step_m
+    z -= (x**2 + y**2) / (2 * 6.371e6)
+    height = z.copy()
+    height[rng.integers(0, rows, holes), rng.integers(0, cols, holes)] = np.nan
+    points = np.stack([x, y, height], -1)
+    points[np.isnan(height)] = np.nan
+    return sheet_of(points, height)
+
+
+def starts_on(sheet: Sheet, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points on some of a sheet's triangles (n, 3), and these triangles' normals."""
+    rng, nodes = np.random.default_rng(seed), sheet.position_frame_m.reshape(-1, 3)
+    corners = nodes[sheet.triangles[rng.integers(0, len(sheet.triangles), count)]]
+    share = rng.dirichlet([1.0, 1.0, 1.0], count)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.einsum("nk,nkj->nj", share, corners), normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+def test_decidable_rays_end_where_those_of_embree_do(azimuth, altitude):
+    """Fine and coarser ground side by side, with holes, and a body: odd numbers of nodes, which fill no tile."""
+    sun = direction_enu(azimuth, altitude)
+    sheets = [rough(3, 131, 94, 30.0, holes=40), rough(4, 66, 37, 60.0, first_col=47), rough(5, 3, 2, 500.0)]
+    meshes = [box([1500.0, -900.0, 200.0], [80.0, 40.0, 150.0])]
+    scenes = RayScene(sheets, meshes), RayScene(sheets, meshes, walked=True)
+    assert scenes[0].offset_m == scenes[1].offset_m
+    points, normal = starts_on(sheets[0], 40_000, 6)
+    up = normal * np.sign(normal @ sun)[:, None]
+    asked = np.array([[each.blocked(points + k * each.offset_m * up, sun) for k in (1.0, 2.0, 4.0)] for each in scenes])
+    decidable = (asked[:, :1] == asked).all(axis=(0, 1))
+    assert decidable.mean() > 0.99
+    assert np.array_equal(asked[0, 0][decidable], asked[1, 0][decidable])
+    assert altitude == 90.0 or 0.02 < asked[0, 0].mean() < 0.98
+
+
+@pytest.mark.parametrize(("azimuth", "altitude"), SUNS)
+def test_nothing_slips_through_sides_and_corners(azimuth, altitude):
+    """From below, towards nodes, towards the middles of quads' sides, and towards the diagonals' middles; on ground that is never
+    as steep as the rays, for beside an outline rounding decides.
+    """
+    sun, nodes = direction_enu(azimuth, altitude), rough(7, 40, 40, 10.0).position_frame_m
+    steepest = max(np.abs(np.diff(nodes[..., 2], axis=axis)).max() for axis in (0, 1)) / 10.0
+    nodes[..., 2] *= 0.3 * min(np.tan(np.radians(altitude)), 1.0) / steepest
+    sheet = sheet_of(nodes)
+    cut = np.where(sheet.falls[..., None], nodes[:-1, :-1] + nodes[1:, 1:], nodes[1:, :-1] + nodes[:-1, 1:]) / 2
+    places = [nodes[1:-1, 1:-1], (nodes[1:-1, 1:-2] + nodes[1:-1, 2:-1]) / 2, (nodes[1:-2, 1:-1] + nodes[2:-1, 1:-1]) / 2, cut]
+    rays = SheetRays([sheet], np.zeros(3))
+    for place in places:
+        for away_m in (1e-3, 1.0, 7.0):
+            assert rays.blocked(place.reshape(-1, 3) - away_m * sun, sun).all()
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_sides_and_corners_belong_to_a_triangle(way):
+    """Where all is exact: vertical rays on whole and half metres of a level sheet."""
+    x, y = np.meshgrid(np.arange(9.0), -np.arange(9.0))
+    places = np.stack(np.meshgrid(np.arange(0.0, 8.1, 0.5), -np.arange(0.0, 8.1, 0.5)), -1).reshape(-1, 2)
+    starts = np.column_stack([places, np.full(len(places), -way)])
+    for falls in (False, True):
+        sheet = Sheet(np.stack([x, y, np.zeros((9, 9))], -1), np.full((8, 8), falls))
+        assert SheetRays([sheet], np.zeros(3)).blocked(starts, np.array([0.0, 0.0, way])).all()
+
+
+def test_one_sheet_is_walked_for_one_direction_after_another():
+    sheet = rough(8, 60, 60, 30.0)
+    walked, embree = RayScene([sheet], walked=True), RayScene([sheet])
+    points, _ = starts_on(sheet, 2000, 9)
+    for azimuth in (40.0, 160.0, 280.0):
+        sun = direction_enu(azimuth, 8.0)
+        starts = points + [0.0, 0.0, 0.5]
+        assert (walked.blocked(starts, sun) == embree.blocked(starts, sun)).mean() > 0.999
+
+
+def test_what_cannot_be_walked_is_refused_and_nothing_stops_nothing():
+    sun, points = direction_enu(180.0, 20.0), np.zeros((3, 3))
+    scene = RayScene([rough(1, 8, 8, 1.0)], walked=True)
+    for wrong in ({"direction": np.tile(sun, (3, 1))}, {"direction": sun, "length_m": np.ones(3)}):
+        with pytest.raises(ValueError, match="walked"):
+            scene.blocked(points, **wrong)
+    assert scene.blocked(np.zeros((0, 3)), sun).shape == (0,)
+    assert not RayScene(walked=True).blocked(points, sun).any()
+    assert not RayScene([sheet_of(np.full((9, 9, 3), np.nan))], walked=True).blocked(points, sun).any()
