@@ -23,6 +23,13 @@ do.
 """
 
 
+PROBED_PLACES = ((0.5, 0.5), (0.3, 0.62), (0.68, 0.28))
+"""Middles of blocks, as shares of a level's sides: one block says little of others (``benchmarks/selection/blocks.py``)."""
+
+WIDE_BLOCKS = 2.0
+"""Several are probed of a level that is longer than so many."""
+
+
 def probed_scales(scene: Scene) -> range:
     """The scales of a level's tiles (``selector.map_probes.MapClass``)."""
     view, finest = _whole(scene), round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - FINEST
@@ -41,15 +48,34 @@ def under_class_sun(scene: Scene, sun: int) -> Scene:
     return scene.with_sun(SunSpec(azimuth=azimuth_deg, altitude=MapClass(0, sun).sun_altitude_deg))
 
 
-def probe_scale(
+def probe_blocks(
     scene: Scene,
-    scale: int,
+    pixel_m: float,
     device: DeviceProfile | None,
     overrides: dict[str, Any] | None = None,
     budget_s: float = DEFAULT_BUDGET_S,
 ) -> ProbedView:
-    """Probe the part of a level that stands for its maps with pixels of ``2 ** scale`` metres. Raises ``SkuggaError``."""
-    return probed_plan(scene, map_block(scene, 2.0**scale), overrides=overrides, device=device, budget_s=budget_s)
+    """Probe blocks of a level's maps with pixels of a side of ``pixel_m`` metres: the plan of the first, and what was seen in
+    all of them.
+
+    Raises ``SkuggaError``.
+    """
+    places = probed_places(scene, pixel_m)
+    probed = [
+        probed_plan(scene, map_block(scene, pixel_m, at), overrides=overrides, device=device, budget_s=budget_s / len(places))
+        for at in places
+    ]
+    lights = dict.fromkeys(light for each in probed for light in each.seen)
+    return ProbedView(
+        probed[0].plan, {light: tuple(seen for each in probed for seen in each.seen.get(light, ())) for light in lights}
+    )
+
+
+def probed_places(scene: Scene, pixel_m: float) -> tuple[tuple[float, float], ...]:
+    """Where blocks of a level are probed, as ``map_block`` takes it: in one place only where one block shows much of the level."""
+    whole = _whole(scene)
+    longest_px = max(whole.rows, whole.cols) * map_pixel_m(scene.world, whole) / pixel_m
+    return PROBED_PLACES if longest_px > WIDE_BLOCKS * BLOCK_PX else PROBED_PLACES[:1]
 
 
 def probe_maps(
@@ -69,7 +95,7 @@ def probe_maps(
         raise InputError("altitude", altitude_deg, "a sun above the horizon: maps are probed under it")
     classes = []
     for scale in probed_scales(scene):
-        probed = probe_scale(scene, scale, device, overrides, budget_s)
+        probed = probe_blocks(scene, 2.0**scale, device, overrides, budget_s)
         on_scale(scale, probed)
         classes.append(ProbedClass(scale=scale, sun=of_sun.sun, seen=probed.seen))
     return MapProbes(classes=tuple(classes))

@@ -3,7 +3,7 @@
     python -m benchmarks.selection.blocks DATA       minutes on two cores; the device must be calibrated (skugga calibrate)
 
 Prints how far errors and times of the same choice differ between blocks (``selector.map_probes``), and how often plans of other
-blocks keep to 1 % and 3 % and what they take, by prediction and with what was probed in the middle.
+blocks keep to 1 % and 3 % and what they take: by prediction, with a probe of the middle, and with probes as a service makes them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from api.map_probing import map_block
+from api.map_probing import map_block, probe_blocks
 from api.workers.idle_probes import BUDGET_S
 from benchmarks.selection.views import RASTERS, scene_of
 from selector.cost.device_profile import DeviceProfile, load_profile
@@ -35,7 +35,7 @@ from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 
 LEVELS = ("jacksboro_wooded", "grenoble", "lisbon", "sanfrancisco", "quebec", "bilbao, trees")
-PLACES = ((0.25, 0.3), (0.72, 0.35), (0.35, 0.75))
+PLACES = ((0.25, 0.3), (0.75, 0.72), (0.45, 0.85))
 """Middles of other blocks, as shares of the level's sides."""
 SUNS = (SunSpec(azimuth=140.0, altitude=12.0), SunSpec(azimuth=220.0, altitude=40.0))
 TARGETS = (0.01, 0.03)
@@ -81,11 +81,13 @@ def _one(
     differences: dict[str, list[tuple[float, float]]],
     held: dict[tuple[str, float], list[tuple[bool, float]]],
 ) -> None:
-    probed = probed_plan(scene, map_block(scene, pixel_m), device=profile, budget_s=BUDGET_S)
+    probed = probe_blocks(scene, pixel_m, profile, budget_s=BUDGET_S)
     seen = probed.seen.get(SUN, ())
     here = MapClass(0, 0)
-    elsewhere = MapProbes(classes=(ProbedClass(scale=0, sun=0, seen=probed.seen),)).of(here)
-    assert elsewhere is not None
+    middle = probed_plan(scene, map_block(scene, pixel_m), device=profile, budget_s=BUDGET_S)
+    elsewhere, of_middle = (
+        MapProbes(classes=(ProbedClass(scale=0, sun=0, seen=each.seen),)).of(here) or {} for each in (probed, middle)
+    )
     print(name, [f"{each.choice} {each.error:.2%} {each.ms:.1f} ms" for each in seen], flush=True)
     for place in PLACES:
         block = _Block(scene, map_block(scene, pixel_m, place), profile)
@@ -98,8 +100,11 @@ def _one(
                 off, chance = log_error(error) - log_error(each.error), hypot(each.error_noise, noise)
                 differences["errors"].append((off, chance))
                 differences["times"].append((log(ms) - log(each.ms), hypot(each.ms_noise, each.ms_noise)))
+        beliefs = {"predict": block.options}
+        for how, what in (("a probe of the middle", of_middle), ("probes", elsewhere)):
+            beliefs[how] = block.options.after(what.get(SUN, ()))
         for target in TARGETS:
-            for how, believed in (("predict", block.options), ("with probes", block.options.after(elsewhere.get(SUN, ())))):
+            for how, believed in beliefs.items():
                 error, ms, _ = block.shown(leader_of(believed, target, None))
                 held[how, target].append((error <= target, ms))
 

@@ -9,7 +9,7 @@ import pytest
 
 from api import map_probing
 from api.http.served_levels import ServedLevels
-from api.map_probing import map_block, probed_scales
+from api.map_probing import map_block, probe_blocks, probed_scales
 from api.workers.jobs import Tiles
 from api.workers.map_plans import plan_in_service, unprobed_class
 from api.workers.plan_basis import PlanBasis
@@ -76,6 +76,19 @@ def test_tiles_of_all_zooms_are_of_these_scales(hills_level: Path):
             tile = tiles_view(scene, Tiles(matrix_set=name, zoom=zoom))
             found = map_class(map_pixel_m(scene.world, tile), 45.0)
             assert found is not None and found.scale in probed_scales(scene), (name, zoom)
+
+
+def test_one_block_where_it_shows_much_of_a_level_else_several(gl, hills_level: Path):
+    scene = build_scene(load_level(hills_level))
+    scales = probed_scales(scene)
+    coarse_m, fine_m = 2.0 ** scales[-1], 2.0 ** scales[0]
+    assert len(map_probing.probed_places(scene, coarse_m)) == 1
+    places = map_probing.probed_places(scene, fine_m)
+    assert len(places) == 3 and places[0] == (0.5, 0.5)
+    alone = probe_blocks(scene, coarse_m, usual_device(), budget_s=1.0)
+    several = probe_blocks(scene, fine_m, usual_device(), budget_s=1.0)
+    assert len(several.seen["sun"]) >= 3 > 0 < len(alone.seen["sun"])
+    assert several.plan.view == "map"
 
 
 def test_what_was_seen_changes_a_choice(probed: list[dict], hills_level: Path):
