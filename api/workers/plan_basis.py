@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from api.device_calibration import digest_of
 from api.workers.jobs import LevelKey
+from terrain.cache import MIB, cached
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
@@ -48,7 +49,7 @@ class PlanBasis:
         return replace(self, probed={**self.probed, **found})
 
 
-@lru_cache(maxsize=64)
+@cached("process", 4 * MIB)
 def _probes(text: str) -> MapProbes:
     from selector.map_probes import MapProbes
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -50,19 +50,25 @@ class SheetRays:
     def __init__(self, sheets: Iterable[Sheet], centre_m: np.ndarray) -> None:
         self._sheets = [sheet for sheet in sheets if sheet.falls.size]
         self._centre_m = centre_m
-        self._along = lru_cache(1)(self._turned)
+        self._last: tuple[tuple[float, ...], Pyramids] | None = None
         self.nbytes = 2 * sum(sheet.position_frame_m.nbytes for sheet in self._sheets)
 
     def blocked(self, start_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Whether rays from starts (n, 3) towards one unit direction (3,) meet a triangle: bool (n,)."""
         if not self._sheets:
             return np.zeros(len(start_m), bool)
-        axes, pyramids = _axes_along(direction), self._along(tuple(float(d) for d in direction))
+        axes, pyramids = _axes_along(direction), self._along(tuple(map(float, direction)))
         parts = np.array_split((start_m - self._centre_m) @ axes.T, WALKING_THREADS)
         with ThreadPoolExecutor(WALKING_THREADS) as pool:  # the loops hold no lock
             return np.concatenate(list(pool.map(partial(_blocked, pyramids), parts)))
 
-    def _turned(self, direction: tuple[float, float, float]) -> Pyramids:
+    def _along(self, direction: tuple[float, ...]) -> Pyramids:
+        """The sheets turned along a direction; those of the last one are kept."""
+        if self._last is None or self._last[0] != direction:
+            self._last = direction, self._turned(direction)
+        return self._last[1]
+
+    def _turned(self, direction: tuple[float, ...]) -> Pyramids:
         axes = _axes_along(np.array(direction))
         levels: list[tuple[int, int, int]] = []
         sheets, node, quad, box = [], 0, 0, 0
