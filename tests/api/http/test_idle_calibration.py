@@ -202,5 +202,6 @@ def test_shutdown_leaves_no_process_and_no_file(hills_level: Path, tmp_path: Pat
         assert pid is not None and alive(pid) and left.exists()
         if paused:
             monkeypatch.setattr(idle_work, "QUIET_S", 3600.0)  # so that it is not continued before it is looked at
-            assert client.get(TILE).status_code == 200 and is_stopped(pid)
+            assert client.get(TILE).status_code == 200
+            until(lambda: is_stopped(pid))
     assert not alive(pid) and not left.parent.exists()
