@@ -59,11 +59,13 @@ class Price:
 
 
 def cheapest_ms(view: Figures) -> dict[str, float]:
-    """By goal the milliseconds of the cheapest plan that meets it; goals that nothing meets are not in it."""
+    """By goal the milliseconds of the cheapest plan that meets it; goals that nothing meets, or of which truth's own noise leaves
+    no telling, are not in it.
+    """
     found = {}
     for one in instances_of([view], [LOOSE, *FINER]):
         met = [row["ms"] for name, row in one.rows.items() if one.meets(name)]
-        if met:
+        if met and one.tellable:
             found[one.goal.name] = min(met)
     return found
 
@@ -92,7 +94,8 @@ def sentence(views: Sequence[Figures]) -> str:
     return (
         f"**What accuracy costs:** the fastest shadows of which at most {finest.goal.name} is wrong take {finest.median:.1f} times "
         f"as long as the fastest of which at most {LOOSE.name} is wrong in the median view, and more than {finest.p90:.1f} times "
-        f"in one view of ten ({len(finest.ratios)} of {finest.views} measured views; in the others no plan meets both)."
+        f"in one view of ten ({len(finest.ratios)} of {finest.views} measured views; in the others no plan meets "
+        "both, or truth is too noisy to tell)."
     )
 
 
@@ -103,7 +106,7 @@ def table(views: Sequence[Figures]) -> str:
         "| --- | --- |" + " --- |" * len(FINER),
     ]
     for name, its in [*families(views).items(), ("all", list(views))]:
-        cells = [f"{p.median:.2f}, {p.p90:.2f} ({len(p.ratios)})" if p.ratios.size else "none meets both" for p in prices(its)]
+        cells = [f"{p.median:.2f}, {p.p90:.2f} ({len(p.ratios)})" if p.ratios.size else "none" for p in prices(its)]
         lines.append(f"| {name} | {len(its)} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
@@ -127,8 +130,11 @@ def wrapped(text: str, width: int = 132) -> str:
 
 
 def figure_svg(views: Sequence[Figures]) -> str:
-    """The figure: of each kind of scene and goal every view a point, medians as bars; to the right it costs more time."""
-    kinds = [*families(views).items(), ("all", list(views))]
+    """The figure: of each kind of scene and goal every view a point, medians as bars; to the right it costs more time.
+    A kind of which nothing can be told is in the table alone.
+    """
+    kinds = [(name, its) for name, its in families(views).items() if any(price.ratios.size for price in prices(its))]
+    kinds.append(("all", list(views)))
     style = {"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK, "svg.hashsalt": "skugga"}
     with mpl.rc_context(style):
         figure = Figure(figsize=(9.4, 0.62 * len(kinds) + 1.5), layout="constrained")
