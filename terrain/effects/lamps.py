@@ -48,28 +48,28 @@ def reaching_lamps(scene: Scene, view: MapView | PerspectiveView, coarse_view: C
     """The names of the lamps whose light can be seen: on white ground that faces them, wherever a map shows ground or a view looks.
     Together the others change no 8-bit channel by more than three quarters of a step.
     """
-    most = {name: _most_light(scene, lamp, view, coarse_view) for name, lamp in scene.lamps.items()}
-    return set(most) - unseen_together(most, _least_light(scene))
+    light = {name: _light_on(scene, lamp, view, coarse_view) for name, lamp in scene.lamps.items()}
+    return set(light) - unseen_together(light, _least_light(scene))
 
 
-def unseen_together(most: Mapping[str, float], least: float) -> set[str]:
-    """Of lamps those that may be left out, the dimmest first, as long as what they come to is no more than what shows.
+def unseen_together(light: Mapping[str, np.ndarray | float], least: float) -> set[str]:
+    """Of lamps those that may be left out, the dimmest first, as long as no point loses more light by it than what shows.
 
-    ``most`` is the most light of each lamp anywhere in a view, ``least`` the light that shows: irradiances in one unit, 0 or more.
-    No point of the view loses more light than ``least``, wherever each lamp has its most. Of lamps that are equally bright the
-    first are left out.
+    ``light`` is what each lamp brings to the same points (n,), or to one, ``least`` the light that shows: irradiances in one unit,
+    0 or more. Of lamps that are equally bright where they are brightest the first are left out.
     """
-    unseen, together = set(), 0.0
-    for name in sorted(most, key=most.__getitem__):
-        together += most[name]
-        if together > least:
+    unseen, together = set(), np.zeros(1)
+    for name in sorted(light, key=lambda name: float(np.max(light[name], initial=0.0))):
+        together = together + light[name]
+        if np.max(together, initial=0.0) > least:
             break
         unseen.add(name)
     return unseen
 
 
-def _most_light(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> float:
-    """The most light of a lamp that falls on anything that is shown, in units of the sun's irradiance; 0 where none does.
+def _light_on(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> np.ndarray:
+    """The most light of a lamp that falls on anything that is shown round each of some points (n,), the same for all lamps, in
+    units of the sun's irradiance; 0 where none does.
 
     Looked at are the overview's highest ground and what stands there, or the points of the view, each taken for as near as the
     way to its neighbours and the height of trees allow. A plain without anything on it is known to lie flat.
@@ -80,7 +80,7 @@ def _most_light(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coars
         assert isinstance(view, MapView)
         cells = visible_cells(scene.elevation, view)
         if cells is None:
-            return 0.0
+            return np.zeros(1)
         points, slack_m = _points_of_cells(scene, cells)
     else:
         points = coarse_view.buffer.frame.points_to_earth(coarse_view.points_frame_m)
@@ -96,7 +96,7 @@ def _most_light(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coars
     if lamp.kind == "spot":
         off_deg = np.degrees(np.arccos(np.clip(to_points @ lamp.earth_from_lamp[:, 2] / np.maximum(away_m, 1e-9), -1.0, 1.0)))
         shines &= off_deg - np.degrees(np.arctan2(slack_m, near_m)) <= lamp.cutoff_deg
-    return float(light[shines].max(initial=0.0))
+    return np.where(shines, light, 0.0).ravel()
 
 
 def _least_light(scene: Scene) -> float:

@@ -124,6 +124,9 @@ def test_the_dimmest_are_left_out_as_long_as_their_sum_does_not_show():
     assert unseen_together({"a": 0.4, "b": 0.1, "c": 0.5, "d": 3.0}, 1.0) == {"a", "b", "c"}, "a sum that is no more than the limit"
     assert unseen_together({"a": 0.4, "b": 0.2, "c": 0.5, "d": 3.0}, 1.0) == {"a", "b"}
     assert unseen_together({"a": 0.9, "b": 0.9, "c": 0.9}, 1.0) == {"a"}
+    here, there = np.array([0.9, 0.0]), np.array([0.0, 0.8])
+    assert unseen_together({"a": here, "b": there}, 1.0) == {"a", "b"}, "no point has the light of both"
+    assert unseen_together({"a": here, "b": there, "c": here}, 1.0) == {"b", "a"}
     assert unseen_together({"a": 0.0, "b": 2.0, "c": 0.0}, 0.0) == {"a", "c"}, "what does not shine at all is never missed"
 
 
