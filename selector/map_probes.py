@@ -17,8 +17,9 @@ LEAST_SUN, MOST_SUN = -5, 2
 """Suns lower than 2 degrees and higher than 70 are as those there."""
 
 BETWEEN_BLOCKS_ERROR, BETWEEN_BLOCKS_TIME = 0.6, 0.3
-"""Standard deviations of the logarithms of errors and times between blocks of a level at one scale and sun: what two in three
-keep to (``benchmarks/selection/blocks.py``: 24 situations of six levels). A few errors differ much more.
+"""Standard deviations of the logarithms of errors and times between blocks of a level at one scale and sun
+(``benchmarks/selection/blocks.py``, 24 situations of six levels): of errors what two in three keep to, since a few differ much
+more; of times the root mean square less the noise of clocks.
 """
 
 

@@ -97,9 +97,8 @@ MAY_IMPORT = {
     "api.sun_hours_layer": "color_scale sun_hours",
     "api.sun_hours": "contour_lines device_calibration raster_file shade",
     "api.device_calibration": "report",
-    "api.map_parts": "",
     "api.map_probing": "",
-    "api.workers": "device_calibration errors layers map_parts map_probing point settings sun_hours_layer",
+    "api.workers": "device_calibration errors layers map_probing point settings sun_hours_layer",
     "api.library": "catalogue device_calibration layers point raster_file shade sun_hours",
     "api.http": "color_scale errors layers point settings shadow_parameters sun_hours_layer workers",
     "api.cli": (

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -31,6 +31,9 @@ from terrain.level.level import parse_sun
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.whole_files import write_whole
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 app = typer.Typer(
     help="Terrain with the sun's true cast shadows.",
@@ -339,17 +342,22 @@ def _select_all(
     as_json: bool,
     write: bool,
 ) -> None:
-    from rich.console import Console
-
     from api.cli.all_views import pin_all, plan_all_views, rows_of, table_of
 
     with _waiting("Choosing for all views"):
         choices = plan_all_views(level, policy, overrides, sun, seconds, ignore_pins=write, budget=budget)
         message = pin_all(choices) if write else None
+    _print_choices(rows_of(choices), table_of(choices), as_json, message)
+
+
+def _print_choices(rows: list[dict[str, Any]], table: Table, as_json: bool, message: str | None) -> None:
+    """Print choices as JSON or as a table, and what was written."""
+    from rich.console import Console
+
     if as_json:
-        typer.echo(json.dumps(rows_of(choices), indent=2))
+        typer.echo(json.dumps(rows, indent=2))
     else:
-        Console(width=None if sys.stdout.isatty() else 200).print(table_of(choices))
+        Console(width=None if sys.stdout.isatty() else 200).print(table)
     if message is not None:
         typer.echo(message, err=True)
 
@@ -357,18 +365,11 @@ def _select_all(
 def _probe_all_scales(
     level: LevelSource, policy: str, overrides: dict[str, Any], sun: SunSpec | None, budget: str | None, as_json: bool, write: bool
 ) -> None:
-    from rich.console import Console
-
     from api.cli.all_scales import probe_all_scales, rows_of_scales, table_of_scales
 
     with _waiting("Probing at all scales"):
         plans, message = probe_all_scales(level, policy, overrides, sun, budget, write)
-    if as_json:
-        typer.echo(json.dumps(rows_of_scales(plans), indent=2))
-    else:
-        Console(width=None if sys.stdout.isatty() else 200).print(table_of_scales(plans))
-    if message is not None:
-        typer.echo(message, err=True)
+    _print_choices(rows_of_scales(plans), table_of_scales(plans), as_json, message)
 
 
 @app.command()

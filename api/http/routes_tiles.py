@@ -155,10 +155,8 @@ async def tile_answer(
     block = await service.done(request, job)
     assert isinstance(block, BlockTiles)
     by = block.renderer, block.plan_version
-    tag, fresh_s = (
-        tag_of(*by, *tag_parts),
-        service.fresh_s(request, longest_s),
-    )  # less where it lacks a probe
+    tag = tag_of(*by, *tag_parts)
+    fresh_s = service.fresh_s(request, longest_s)  # asked again: a tile whose plan lacks a probe is fresh for less
     made, again = (
         cache_headers(tag, fresh_s) | of_time | drawn_headers(block, "block", kept, block.encode_ms)
         for kept in (kept or not block.drawn, True)

@@ -10,7 +10,6 @@ import numpy as np
 from pyproj import CRS
 
 from api.layers import LAYERS, HeightEncoding, encoded_heights, map_layer, nodata_height_m
-from api.map_parts import planned_part
 from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
 from api.workers.block_tiles import empty_layer, encode
 from api.workers.jobs import MapJob
@@ -19,11 +18,15 @@ from shadows.plan import Plan
 from shadows.registry import NO_SHADOWS
 from shadows.render import render_frame
 from terrain.casters.reach import NO_CASTERS, Reach
-from terrain.geo.grid import MapView, blocks_of, map_view
+from terrain.casters.slopes import extent_on_grid
+from terrain.geo.grid import BLOCK_PX, MapView, blocks_of, map_view
 from terrain.scene import Scene
 
 HEIGHTS = "heights"
 """What a picture of heights says that drew it."""
+
+STEP_DIGITS = 9
+"""Of a map's steps, by which its plan goes: two maps of one scale differ by rounding alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,19 @@ def map_asked(scene: Scene, job: MapJob) -> tuple[MapView, bool]:
     view = scene.view("map", job.bounds, job.crs, job.size)
     assert isinstance(view, MapView)
     return view, True
+
+
+def planned_part(scene: Scene, view: MapView) -> tuple[Hashable, MapView]:
+    """The part of a level that stands for all its maps of a scale in a CRS, by which they are planned, as tiles of a zoom are; and
+    what tells the scale.
+    """
+    row_step, col_step = (float(f"{step:.{STEP_DIGITS}g}") for step in (view.row_step, view.col_step))
+    rows, cols = extent_on_grid(scene.world, scene.elevation, view.grid)
+    row0, col0 = (
+        float(sum(ends) / 2 // (BLOCK_PX * step)) * BLOCK_PX * step for ends, step in ((rows, row_step), (cols, col_step))
+    )
+    part = MapView(view.grid, row0, col0, row_step, col_step, BLOCK_PX, BLOCK_PX)
+    return (view.grid, row_step, col_step), part
 
 
 def drawn_map(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], Plan]) -> DrawnMap:

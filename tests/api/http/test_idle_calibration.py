@@ -27,15 +27,20 @@ BROKEN = [fake_calibrations.failing, fake_calibrations.dying, fake_calibrations.
 Serve = Callable[..., Client]
 
 
-@pytest.fixture
-def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
-    """``serve(measure, **settings)`` is a client of a service, soon idle, with an empty cache."""
+def soon_idle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """Services have an empty cache, are soon idle, and what they say is heard from the start."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
     monkeypatch.setattr(idle_work, "QUIET_CHECK_S", 0.01)
-    monkeypatch.setattr(idle_calibration, "CHECK_EVERY_S", 0.02)
-    monkeypatch.setattr(conftest, "log_config", lambda settings: {**log_config(settings), "loggers": {}})  # heard from the start
+    monkeypatch.setattr(conftest, "log_config", lambda settings: {**log_config(settings), "loggers": {}})
     caplog.set_level("INFO", "skugga")
+
+
+@pytest.fixture
+def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
+    """``serve(measure, **settings)`` is a client of a service, soon idle, with an empty cache."""
+    soon_idle(tmp_path, monkeypatch, caplog)
+    monkeypatch.setattr(idle_calibration, "CHECK_EVERY_S", 0.02)
     with ExitStack() as stack:
 
         def make(measure, target=fake_workers.planning, **settings) -> Client:

@@ -10,16 +10,14 @@ import pytest
 
 from api import map_probing
 from api.http.app import create_app
-from api.http.server import log_config
 from api.settings import Settings
-from api.workers import idle_probes, idle_work
+from api.workers import idle_probes
 from api.workers.idle_probes import probed_level
 from selector.cost.device_profile import save_profile
 from selector.kept_probes import load_probes, probes_folder, save_probes
 from selector.map_probes import MapProbes, ProbedClass
-from tests.api import conftest
 from tests.api.conftest import Client, running
-from tests.api.http.test_idle_calibration import OTHER_TILE, TILE, said, until
+from tests.api.http.test_idle_calibration import OTHER_TILE, TILE, said, soon_idle, until
 from tests.api.workers import fake_probes, fake_workers
 from tests.api.workers.fake_calibrations import profile
 
@@ -29,13 +27,9 @@ Serve = Callable[..., Client]
 @pytest.fixture
 def serve(hills_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> Iterator[Serve]:
     """``serve(probe, **settings)`` is a client of a service, soon idle, on a calibrated device."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(idle_work, "QUIET_S", 0.1)
-    monkeypatch.setattr(idle_work, "QUIET_CHECK_S", 0.01)
+    soon_idle(tmp_path, monkeypatch, caplog)
     monkeypatch.setattr(idle_probes, "READ_EVERY_S", 0.02)
-    monkeypatch.setattr(conftest, "log_config", lambda settings: {**log_config(settings), "loggers": {}})  # heard from the start
     save_profile(profile())
-    caplog.set_level("INFO", "skugga")
     with ExitStack() as stack:
 
         def make(probe=fake_probes.at_once, **settings) -> Client:
