@@ -98,12 +98,14 @@ MAY_IMPORT = {
     "api.sun_hours": "contour_lines device_calibration raster_file shade",
     "api.device_calibration": "report",
     "api.map_probing": "",
+    "api.file_stamps": "",
     "api.workers": "device_calibration errors layers map_probing point settings sun_hours_layer",
     "api.library": "catalogue device_calibration layers point raster_file shade sun_hours",
-    "api.http": "color_scale errors layers point settings shadow_parameters sun_hours_layer workers",
+    "api.matrices": "errors workers",
+    "api.http": "color_scale errors file_stamps layers matrices point settings shadow_parameters sun_hours_layer workers",
     "api.cli": (
-        "catalogue device_calibration errors http layers map_probing point raster_file report settings shade shadow_parameters "
-        "stac_item sun_hours"
+        "catalogue device_calibration errors file_stamps http layers map_probing point raster_file report settings shade "
+        "shadow_parameters stac_item sun_hours"
     ),
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""

@@ -10,7 +10,7 @@ from rich.table import Table
 from api.cli.all_views import cells_of, facts_of
 from api.cli.times import duration_of
 from api.device_calibration import calibration
-from api.http.file_stamps import file_stamps, level_version, watched_files
+from api.file_stamps import file_stamps, level_version, watched_files
 from api.map_probing import probe_maps
 from selector.kept_probes import save_probes
 from selector.map_probes import PROBED_FOR, MapProbes

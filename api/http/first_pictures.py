@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from api.http.matrices import OVERZOOMS, matrix_set_of
 from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel, ServedLevels
+from api.matrices import OVERZOOMS, matrix_set_of
 from api.workers.block_tiles import place_in_block
 from api.workers.jobs import BlockJob, PictureRequest, ServedPictures, SnapshotJob
 from terrain.level.parts import SunSpec

@@ -10,10 +10,10 @@ from fastapi.openapi.utils import get_openapi
 
 from api.http.bearer_token import OPEN_PATHS
 from api.http.documented import ANYWHERE, EXAMPLE_QUERY, problem_docs, with_bounds
-from api.http.matrices import matrix_set_of
 from api.http.problems import Problem
 from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from api.http.service import Service
+from api.matrices import matrix_set_of
 
 DIGITS = 5
 """Of degrees in examples."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from urllib.parse import quote, urlencode
 from xml.etree.ElementTree import Element, indent, tostring
 
-from api.http.matrices import matrix_set_of
 from api.http.ogc_requests import layer_name, layer_title
 from api.http.ogc_times import time_dimension
 from api.http.ogc_xml import add
 from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from api.http.wmts_capabilities import TIME, WMTS_STYLE
+from api.matrices import matrix_set_of
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from terrain.geo.grid import crs_of_tiles
 

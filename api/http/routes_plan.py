@@ -10,13 +10,13 @@ from fastapi import APIRouter, Body, Depends, Query, Request, Response
 from api.errors import NotServedError
 from api.http.answers import json_answer
 from api.http.documented import WORK_ERRORS, Answers, LevelPath, problem_docs
-from api.http.matrices import matrix_set_of
 from api.http.moments import time_headers
 from api.http.numbers import PLAIN_WHOLE
 from api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
 from api.http.sent_descriptor import SentDescriptor
 from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from api.http.service import TheService
+from api.matrices import matrix_set_of
 from api.workers.jobs import DescribedPlanJob, DescriptorAnswer, DescriptorJob, PictureRequest, PlanAnswer, PlanJob, Tiles
 from shadows.plan import Plan
 from terrain.errors import InputError

@@ -22,11 +22,11 @@ from api.http.documented import (
     problem_docs,
 )
 from api.http.encoded_tiles import EncodedTile
-from api.http.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
 from api.http.moments import time_headers
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
 from api.http.service import Service, TheService
 from api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
+from api.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
 from api.workers.block_tiles import ARRAY_FORMATS, TILE_PX, check_format, empty_layer, empty_tile, encode, place_in_block
 from api.workers.jobs import BlockJob, BlockTiles, PictureRequest, SunHoursJob
 from selector.formatting import format_list

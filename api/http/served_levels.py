@@ -14,10 +14,10 @@ from typing import Any
 from pyproj import CRS
 
 from api.errors import NotServedError
-from api.http.file_stamps import Stamp, file_stamps, level_version, watched_files
+from api.file_stamps import Stamp, file_stamps, level_version, watched_files
 from api.http.level_checks import LevelCheck
-from api.http.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
 from api.layers import MAP_LAYERS, PICTURE_LAYERS
+from api.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from api.workers.jobs import LevelKey
 from shadows.registry import served_algorithms

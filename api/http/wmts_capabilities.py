@@ -9,13 +9,13 @@ from xml.etree.ElementTree import Element
 from morecantile import TileMatrixSet
 from pyproj import CRS
 
-from api.http.matrices import matrix_set_of, tile_limits
 from api.http.ogc_requests import gis_formats, layer_name, layer_title
 from api.http.ogc_times import time_dimension
 from api.http.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
 from api.http.parameters import TILE_LAYERS
 from api.http.served_levels import ServedLevel
 from api.layers import LAYERS, MAP_MEDIA_TYPES
+from api.matrices import matrix_set_of, tile_limits
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from terrain.geo.grid import crs_of_tiles
 

@@ -4,7 +4,7 @@ from morecantile import tms as registered
 from pyproj import CRS
 
 from api.errors import NotServedError
-from api.http.matrices import (
+from api.matrices import (
     ZoomRange,
     check_tile,
     doubles,
