@@ -22,7 +22,8 @@ from api.device_calibration import calibration
 from api.errors import TooCostlyError
 from api.layers import LAYERS, encode_picture, picture_layer
 from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
-from api.workers.block_tiles import NOT_ASKED, PicturedBlock, cut_tiles, encoded_tiles
+from api.workers.block_tiles import PicturedBlock, cut_tiles, encoded_tiles
+from api.workers.drawn_blocks import block_of_grid, drawn_block
 from api.workers.jobs import (
     Answer,
     BlockJob,
@@ -56,7 +57,7 @@ from api.workers.point_jobs import point_answer, points_answer
 from api.workers.process_life import end_with_parent, resident_bytes, stand_back
 from selector.choices import StandaloneRequest
 from selector.select import select
-from shadows.ground_pictures import ShownMap, shown_map
+from shadows.ground_pictures import ShownMap
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.cache import MIB, Cache, Missing
@@ -66,7 +67,7 @@ from terrain.describe import describe
 from terrain.errors import Fault, GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
+from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
 from terrain.gl import device as gl
 from terrain.level.level import SUN, Shadows, load_level
 from terrain.scene import Scene, build_scene
@@ -181,18 +182,14 @@ class WorkerState:
 
 def block_view(job: BlockJob | SunHoursJob) -> MapView:
     """The view of a block: its pixels are the tile matrix's own."""
-    return _block(tile_grid(matrix_sets.get(job.matrix_set), job.zoom), job.block_x, job.block_y)
+    return block_of_grid(tile_grid(matrix_sets.get(job.matrix_set), job.zoom), job.block_x, job.block_y)
 
 
 def tiles_view(scene: Scene, tiles: Tiles) -> MapView:
     """The view of the block that holds the level's middle: what is planned for all tiles of the zoom is planned for this one."""
     grid = tile_grid(matrix_sets.get(tiles.matrix_set), tiles.zoom)
     (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
-    return _block(grid, int((west + east) / 2 // BLOCK_PX), int((north + south) / 2 // BLOCK_PX))
-
-
-def _block(grid: Grid, x: int, y: int) -> MapView:
-    return MapView(grid, float(y * BLOCK_PX), float(x * BLOCK_PX), 1.0, 1.0, BLOCK_PX, BLOCK_PX)
+    return block_of_grid(grid, int((west + east) / 2 // BLOCK_PX), int((north + south) / 2 // BLOCK_PX))
 
 
 def run_job(job: Job, state: WorkerState) -> Result:
@@ -257,8 +254,7 @@ def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
     if isinstance(kept, Missing):
         plan = plan_of_tiles(job, scene, state)
         _check_cost(plan, f"a block of {BLOCK_PX}x{BLOCK_PX}", state)
-        shown = render_frame(scene, block_view(job), plan) if points else shown_map(scene, block_view(job), plan)
-        block = PicturedBlock(shown.color, shown.opacity, shown.there, shown.visibility if isinstance(shown, Frame) else NOT_ASKED)
+        block, shown = drawn_block(scene, block_view(job), plan, job.layer)
         overrides = job.request.overrides.for_selector()
         unprobed = unprobed_class(scene, block_view(job), overrides, job.level, state.basis)
         kept = block, {**_facts(plan, shown, state, job.level), "unprobed": unprobed}

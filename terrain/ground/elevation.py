@@ -176,6 +176,17 @@ class Elevation:
         """What a step of 1 of the file's cells is of height as drawn, metres."""
         return float(self._scale)
 
+    def stored_range_m(self, cells: np.ndarray) -> tuple[float, float]:
+        """The lowest and the highest of some of the file's cells as surfaces, metres: none lies below standing water."""
+        ends = np.array([cells.min(), cells.max()], np.float64) * self._scale + self._offset
+        low, high = sorted(max(float(end), self.water_m) for end in ends)
+        return low, high
+
+    @property
+    def overview_factors(self) -> tuple[int, ...]:
+        """By how much the overviews that the file has, and that are used, are coarser than its cells."""
+        return tuple(self._dataset.overviews(1))
+
     def close(self) -> None:
         """Close the raster."""
         self._dataset.close()

@@ -1,0 +1,92 @@
+"""What ground is, chunk by chunk: digests by which it is known which tiles a change of a raster can reach."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from terrain.ground.elevation import Elevation
+
+LEAST_SIDE = 64
+"""Side of a chunk in cells; of large rasters twice as many, four times ..., ..."""
+
+MOST_CHUNKS = 16_384
+"""... until there are no more than so many."""
+
+READ_CELLS = 2**23
+"""Cells that are read at once."""
+
+DIGEST_BYTES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class GroundChunks:
+    """Square chunks of a raster, ``side`` cells each, from its first cell on.
+
+    ``digests`` (rows, cols, 16) uint8 change with any cell and with any overview that the file has of it; ``low_m`` and ``high_m``
+    (rows, cols) float32 are heights as drawn, NaN without any. ``holes``: whether any cell of the raster has none.
+    """
+
+    side: int
+    digests: np.ndarray
+    low_m: np.ndarray
+    high_m: np.ndarray
+    holes: bool
+
+    @cached_property
+    def digest(self) -> bytes:
+        """Of all of the ground."""
+        return hashlib.blake2b(np.int64(self.side).tobytes() + self.digests.tobytes(), digest_size=DIGEST_BYTES).digest()
+
+    def to_bytes(self) -> bytes:
+        """For the task table."""
+        out = io.BytesIO()
+        np.savez_compressed(
+            out, side=self.side, digests=self.digests, low_m=self.low_m, high_m=self.high_m, holes=self.holes
+        )  # fmt: skip
+        return out.getvalue()
+
+    @classmethod
+    def from_bytes(cls, content: bytes) -> GroundChunks:
+        """What ``to_bytes`` made."""
+        with np.load(io.BytesIO(content)) as kept:
+            return cls(int(kept["side"]), kept["digests"], kept["low_m"], kept["high_m"], bool(kept["holes"]))
+
+
+def ground_chunks(elevation: Elevation) -> GroundChunks:
+    """Read all of a raster once. Raises ``SourceError`` for a part that cannot be read."""
+    side = LEAST_SIDE
+    while -(-elevation.rows // side) * -(-elevation.cols // side) > MOST_CHUNKS:
+        side *= 2
+    shape = -(-elevation.rows // side), -(-elevation.cols // side)
+    factors = [factor for factor in elevation.overview_factors if factor <= side]
+    digests = np.zeros((*shape, DIGEST_BYTES), np.uint8)
+    low_m, high_m = (np.full(shape, np.nan, np.float32) for _ in range(2))
+    holes, across = False, max(READ_CELLS // side // side, 1)
+    for i in range(shape[0]):
+        for first in range(0, shape[1], across):
+            rows = slice(i * side, min((i + 1) * side, elevation.rows))
+            cols = slice(first * side, min((first + across) * side, elevation.cols))
+            stored, known = elevation.stored(rows, cols)
+            coarse = [_coarser(elevation, rows, cols, factor) for factor in factors]
+            for j in range(first, min(first + across, shape[1])):
+                here = slice((j - first) * side, (j - first + 1) * side)
+                cells, valid = stored[:, here], known[:, here]
+                digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
+                for part in (cells, valid, *(each[:, (j - first) * (side // f) :][:, : side // f] for f, each in coarse)):
+                    digest.update(np.ascontiguousarray(part).tobytes())
+                digests[i, j] = np.frombuffer(digest.digest(), np.uint8)
+                holes |= not valid.all()
+                if valid.any():
+                    low_m[i, j], high_m[i, j] = elevation.stored_range_m(cells[valid])
+    return GroundChunks(side, digests, low_m, high_m, holes)
+
+
+def _coarser(elevation: Elevation, rows: slice, cols: slice, factor: int) -> tuple[int, np.ndarray]:
+    """An overview's cells of a window: with their factor."""
+    shape = max((rows.stop - rows.start) // factor, 1), max((cols.stop - cols.start) // factor, 1)
+    return factor, elevation.stored(rows, cols, shape)[0]

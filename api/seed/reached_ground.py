@@ -1,0 +1,200 @@
+"""Which chunks of ground the tiles of a block hang on: what they show, and what can throw its shadow there.
+
+A chunk can shade a block if it lies, as the sun sees it, within the block's width, not wholly below its lowest ground, and not
+behind all of it: the rule of ``terrain.casters.reach``, asked of chunks by their own highest ground. So a mountain that was not
+there before counts as soon as it is high enough. It is asked with room to spare for what an algorithm adds to the shadow of ground:
+the sun's disc, the bending of rays and, where depth maps are drawn, the whole patches of casters that they are fitted to.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from api.seed.ground_chunks import DIGEST_BYTES, GroundChunks
+from api.workers.drawn_blocks import block_of_grid
+from shadows.ground_pictures import SKY_PASS
+from shadows.plan import Plan
+from shadows.visibility import with_apparent_sun
+from terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS
+from terrain.gbuffer.covered_nodes import is_bare
+from terrain.geo.grid import BLOCK_PX, Grid
+from terrain.geo.light_space import LightSpace, light_space
+from terrain.geo.world import transformer
+from terrain.ground.elevation import FILL_CELLS
+from terrain.ground.sky_view_factor import sky_view
+from terrain.ground.surface import map_pixel_m
+from terrain.scene import Scene
+
+WHOLE_LEVEL = frozenset({"clouds", "lamps"})
+"""Effects by which a picture hangs on ground anywhere."""
+
+LATTICE = 4
+"""Parts of a block's side: its ground is bounded by the corners of these."""
+
+BESIDE_PX, BESIDE_CELLS = 8, 8
+"""Pixels round a block, and cells round those, that its normals and its bilinear ground hang on."""
+
+BLUR_DEG = 0.3
+"""Half of the sun's disc, and a little more than terrestrial refraction bends a ray of 100 km."""
+
+SWEPT = frozenset({"sweep", "none"})
+"""Algorithms that find the shadow of each place by itself, whatever else is looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Chunks:
+    """Chunks of a raster as points: earth-fixed middles at their highest ground (n, 3), half their diagonals in metres (n,)."""
+
+    top_earth_m: np.ndarray
+    half_m: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Sunlit:
+    """Chunks in light space: their ``tops`` (n, 3), with what stands there, ``tall_m`` at most; and whether the shadow of a place
+    is found ``point_by_point``.
+    """
+
+    light: LightSpace
+    tops: np.ndarray
+    tall_m: float
+    point_by_point: bool
+
+
+class ReachedGround:
+    """Says of blocks of a level's tiles, by a digest, whether any ground that their tiles hang on has changed."""
+
+    def __init__(self, scene: Scene, chunks: GroundChunks) -> None:
+        self._scene, self._chunks = scene, chunks
+        self._points = _chunk_points(scene, chunks)
+
+    def digests(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan, shades_ground: bool) -> list[bytes]:
+        """A digest of each block (x, y) of a tile matrix's ``grid``; ``plan`` is what draws them under the scene's sun, of which
+        the ground is shaded, too, where the picture ``shades_ground``.
+        """
+        sky = _SkyDigests(self._scene) if shades_ground and SKY_PASS in plan.runs else None
+        out = []
+        for (x, y), reached in zip(blocks, self.reached(grid, blocks, plan), strict=True):
+            digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
+            digest.update(np.packbits(reached).tobytes())
+            digest.update(self._chunks.digests[reached].tobytes())
+            if sky is not None:
+                digest.update(sky.of(self._cells_of(grid, x, y)))
+            out.append(digest.digest())
+        return out
+
+    def reached(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan) -> list[np.ndarray]:
+        """The chunks (rows, cols) bool that each block hangs on."""
+        shape = self._chunks.low_m.shape
+        if plan.runs & WHOLE_LEVEL:
+            return [np.ones(shape, np.bool_) for _ in blocks]
+        sunlit = self._tops_in_sun(plan)
+        out = []
+        for x, y in blocks:
+            shown = self._shown(grid, x, y)
+            out.append(shown if sunlit is None else shown | self._shading(grid, x, y, shown, sunlit))
+        return out
+
+    def _cells_of(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
+        """First and last row and column of the raster under a block and round it, infinite where that cannot be told."""
+        elevation = self._scene.elevation
+        map_x, map_y = _lattice(grid, x, y)
+        if grid.crs != elevation.crs:
+            map_x, map_y = transformer(grid.crs, elevation.crs).transform(map_x, map_y)
+        row, col = elevation.cell_of(map_x, map_y)
+        if not np.isfinite(row).all() or not np.isfinite(col).all():
+            return -np.inf, np.inf, -np.inf, np.inf
+        coarse = max(2.0 ** self._scene.surface(grid).level, 1.0)
+        beside = coarse * (BESIDE_CELLS + (FILL_CELLS if self._chunks.holes else 0))
+        sagged = [0.01 * np.ptp(values) + beside for values in (row, col)]  # sides of a block may be curved
+        if elevation.crs.is_geographic and (np.ptp(col) > elevation.cols / 2 or col.min() < 0 or col.max() > elevation.cols):
+            return row.min() - sagged[0], row.max() + sagged[0], -np.inf, np.inf  # it may lie across the antimeridian
+        return row.min() - sagged[0], row.max() + sagged[0], col.min() - sagged[1], col.max() + sagged[1]
+
+    def _shown(self, grid: Grid, x: int, y: int) -> np.ndarray:
+        top, bottom, left, right = self._cells_of(grid, x, y)
+        rows, cols = self._chunks.low_m.shape
+        first_row, first_col = np.arange(rows) * self._chunks.side, np.arange(cols) * self._chunks.side
+        in_rows = (first_row <= bottom + 0.5) & (first_row + self._chunks.side > top - 0.5)
+        in_cols = (first_col <= right + 0.5) & (first_col + self._chunks.side > left - 0.5)
+        return in_rows[:, None] & in_cols[None, :]
+
+    def _tops_in_sun(self, plan: Plan) -> _Sunlit | None:
+        """The chunks' highest ground as the sun sees it; ``None`` where a plan casts no shadow of the sun."""
+        scene = with_apparent_sun(self._scene, plan.runs)
+        if scene.sun is None or not scene.sun_is_up or not plan.casts:
+            return None
+        light, tall_m = light_space(scene.world, scene.sun), scene.objects.tallest_m
+        tops = light.from_earth(self._points.top_earth_m + tall_m * _unit(self._points.top_earth_m))
+        alone = is_bare(scene) and {step.algorithm for step in plan.steps} <= SWEPT
+        return _Sunlit(light, tops, tall_m, alone)
+
+    def _shading(self, grid: Grid, x: int, y: int, shown: np.ndarray, sunlit: _Sunlit) -> np.ndarray:
+        """The chunks that can throw a shadow on a block whose ground is in the chunks ``shown``."""
+        scene, known = self._scene, shown & np.isfinite(self._chunks.low_m)
+        if not known.any():
+            return np.zeros(shown.shape, np.bool_)
+        low_m, high_m = float(self._chunks.low_m[known].min()), float(self._chunks.high_m[known].max()) + sunlit.tall_m
+        map_x, map_y = _lattice(grid, x, y)
+        point, up = (values.reshape(-1, 3) for values in scene.world.ground(grid.crs, map_x, map_y))
+        there = np.isfinite(point).all(axis=1)
+        if not there.any():
+            return np.ones(shown.shape, np.bool_)
+        receivers = sunlit.light.from_earth(np.concatenate([point[there] + height * up[there] for height in (low_m, high_m)]))
+        least, most, tops = receivers.min(axis=0), receivers.max(axis=0), sunlit.tops
+        away_m = np.maximum(most[2] - tops[:, 2], 0.0)
+        room_m = self._points.half_m + np.tan(np.radians(BLUR_DEG)) * away_m
+        if not sunlit.point_by_point:
+            step_m = map_pixel_m(scene.world, block_of_grid(grid, x, y))
+            room_m = room_m + np.maximum(PATCH_QUADS * step_m, away_m * 2.0 * PATCH_QUADS / FULL_DETAIL_NODES) * np.sqrt(2.0)
+        can = (
+            (tops[:, 0] >= least[0] - room_m) & (tops[:, 0] <= most[0] + room_m)
+            & (tops[:, 1] >= least[1] - room_m) & (tops[:, 2] <= most[2] + room_m)
+        )  # fmt: skip
+        return can.reshape(shown.shape)
+
+
+class _SkyDigests:
+    """What ground hides of the sky over parts of a raster."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._view = sky_view(scene.elevation, scene.world)
+
+    def of(self, cells: tuple[float, float, float, float]) -> bytes:
+        """The nodes' values under some cells, and those that means over wide pixels take in."""
+        side, (rows, cols) = 2**self._view.level, self._view.hidden.shape
+        wide = max((cells[1] - cells[0]) / side / 32.0, 2.0)  # a pixel is a thousandth of a block
+        ends = []
+        for low, high, count in ((cells[0], cells[1], rows), (cells[2], cells[3], cols)):
+            ends.append(slice(int(np.clip(low / side - wide, 0, count)), int(np.clip(high / side + wide + 1.0, 0, count))))
+        return self._view.hidden[ends[0], ends[1]].tobytes()
+
+
+def _chunk_points(scene: Scene, chunks: GroundChunks) -> _Chunks:
+    elevation, (rows, cols), side = scene.elevation, chunks.low_m.shape, chunks.side
+    ends = [np.minimum(np.arange(count + 1) * side, most) - 0.5 for count, most in ((rows, elevation.rows), (cols, elevation.cols))]
+    corner_col, corner_row = np.meshgrid(ends[1], ends[0])
+    corners, _ = scene.world.ground(elevation.crs, *elevation.xy(corner_row, corner_col))
+    middle_col, middle_row = np.meshgrid((ends[1][1:] + ends[1][:-1]) / 2, (ends[0][1:] + ends[0][:-1]) / 2)
+    middles, up = scene.world.ground(elevation.crs, *elevation.xy(middle_row, middle_col))
+    half_m = np.max(
+        [np.linalg.norm(corners[i : i + rows, j : j + cols] - middles, axis=-1) for i in (0, 1) for j in (0, 1)], axis=0
+    )
+    top = middles + chunks.high_m[..., None].astype(np.float64) * up  # NaN without ground: it shades nothing
+    return _Chunks(top.reshape(-1, 3), half_m.ravel())
+
+
+def _lattice(grid: Grid, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
+    """Map coordinates of a lattice of places in a block, its rim and a little more."""
+    steps = np.linspace(-BESIDE_PX, BLOCK_PX + BESIDE_PX, LATTICE + 1)
+    col, row = np.meshgrid(x * BLOCK_PX + steps, y * BLOCK_PX + steps)
+    return grid.x(col), grid.y(row)
+
+
+def _unit(point_earth_m: np.ndarray) -> np.ndarray:
+    """Directions from the earth's centre: up, near enough to stand something tall on."""
+    return point_earth_m / np.linalg.norm(point_earth_m, axis=-1, keepdims=True)

@@ -1,0 +1,71 @@
+"""What a run of ``skugga seed`` is asked, as workers read it: everything that a task's number, place and sun leave open."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+from pydantic import BaseModel, ConfigDict
+
+from api.layers import MapFormat, MapLayer
+from api.workers.jobs import PictureRequest, RequestedSettings
+from shadows.plan import Plan
+from terrain.level.level_source import LevelSource
+from terrain.level.parts import SunSpec
+
+MATRIX_SET = "WebMercatorQuad"
+"""The tile matrix set of pyramids: archives of tiles know no other."""
+
+
+class PlannedZoom(BaseModel):
+    """The plan of all tiles of a zoom under a sun: the number of the sun, and the plan as JSON."""
+
+    model_config = ConfigDict(frozen=True)
+
+    sun: int
+    zoom: int
+    plan: str
+
+    @cached_property
+    def read(self) -> Plan:
+        """The plan."""
+        return Plan.model_validate_json(self.plan)
+
+
+class RunSpec(BaseModel):
+    """A run: a level, a layer and its format, suns (``None``: the level's own), shadow settings, and the plans, made once.
+
+    ``renderer`` is what the plans were made for: a worker that draws with another one is refused. ``ground`` is the version of
+    the level's files.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    level: LevelSource
+    ground: str
+    renderer: str
+    layer: MapLayer
+    format: MapFormat
+    overrides: RequestedSettings
+    suns: tuple[SunSpec | None, ...]
+    plans: tuple[PlannedZoom, ...]
+
+    def request(self, sun: int) -> PictureRequest:
+        """What the same picture is asked for in a service."""
+        return PictureRequest(sun=self.suns[sun], overrides=self.overrides)
+
+    @cached_property
+    def plan_by_place(self) -> dict[tuple[int, int], Plan]:
+        """Plans by sun and zoom."""
+        return {(each.sun, each.zoom): each.read for each in self.plans}
+
+
+class Task(NamedTuple):
+    """A metatile: a block (x, y) of a zoom under a sun, and the name of the shard that its tiles go to."""
+
+    id: int
+    sun: int
+    zoom: int
+    x: int
+    y: int
+    shard: str

@@ -1,0 +1,23 @@
+"""Blocks of tiles as render processes draw them."""
+
+from __future__ import annotations
+
+from api.layers import LAYERS
+from api.workers.block_tiles import NOT_ASKED, PicturedBlock
+from shadows.ground_pictures import ShownMap, shown_map
+from shadows.plan import Plan
+from shadows.render import Frame, render_frame
+from terrain.geo.grid import BLOCK_PX, Grid, MapView
+from terrain.scene import Scene
+
+
+def block_of_grid(grid: Grid, x: int, y: int) -> MapView:
+    """The view of block (x, y) of a tile matrix's grid: its pixels are the matrix's own."""
+    return MapView(grid, float(y * BLOCK_PX), float(x * BLOCK_PX), 1.0, 1.0, BLOCK_PX, BLOCK_PX)
+
+
+def drawn_block(scene: Scene, view: MapView, plan: Plan, layer: str) -> tuple[PicturedBlock, Frame | ShownMap]:
+    """A block drawn for a layer by a plan, and what drew it. Raises ``SkuggaError``."""
+    shown = render_frame(scene, view, plan) if LAYERS[layer].of_points else shown_map(scene, view, plan)
+    visibility = shown.visibility if isinstance(shown, Frame) else NOT_ASKED
+    return PicturedBlock(shown.color, shown.opacity, shown.there, visibility), shown
