@@ -104,8 +104,8 @@ class ArchiveSize:
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Where everything will lie. ``stored`` (n,) bool says of every tile whether its bytes are copied; of entries there are ``ids``,
-    ``offsets`` (uint64, bytes from the first tile's), ``lengths`` and ``runs``.
+    """Where everything will lie. ``stored`` (n,) bool says of every tile whether its bytes are copied; of entries there are
+    ``ids``, ``offsets`` (uint64, bytes from the first tile's), ``lengths`` and ``runs``.
     """
 
     stored: NDArray[np.bool_]
@@ -119,8 +119,8 @@ class _Layout:
 def write_archive(path: Path, indexes: Sequence[ShardIndex], read: Callable[[int], bytes], facts: ArchiveFacts) -> ArchiveSize:
     """Write the tiles of shards as a PMTiles archive: whole, or not at all. The same tiles and facts give the same bytes.
 
-    The indexes' tile ids ascend from one shard to the next. ``read(i)`` is asked for shard i's bytes once, in order. Equal neighbours
-    are one run, equal small tiles one content. Raises ``BrokenShardError`` for bytes that are not the index's, ``InputError`` where
+    The indexes' tile ids ascend from one shard to the next. ``read(i)`` is asked for shard i's bytes once, in order. Equal
+    neighbours are one run, equal small tiles one content. Raises ``BrokenShardError`` for bytes that are not the index's, ``InputError`` where
     there is no tile, ``ValueError`` for ids in another order or outside of the zooms, ``OSError``, and what ``read`` raises.
     """
     layout = _layout(indexes, facts)
