@@ -120,8 +120,10 @@ def write_archive(path: Path, indexes: Sequence[ShardIndex], read: Callable[[int
     """Write the tiles of shards as a PMTiles archive: whole, or not at all. The same tiles and facts give the same bytes.
 
     The indexes' tile ids ascend from one shard to the next. ``read(i)`` is asked for shard i's bytes once, in order. Equal
-    neighbours are one run, equal small tiles one content. Raises ``BrokenShardError`` for bytes that are not the index's, ``InputError`` where
-    there is no tile, ``ValueError`` for ids in another order or outside of the zooms, ``OSError``, and what ``read`` raises.
+    neighbours are one run, equal small tiles one content.
+
+    Raises ``BrokenShardError`` for bytes that are not the index's, ``InputError`` where there is no tile, ``ValueError`` for ids in
+    another order or outside of the zooms, ``OSError``, and what ``read`` raises.
     """
     layout = _layout(indexes, facts)
     head = _head(layout, facts)
