@@ -41,6 +41,14 @@ class WorkerCrashError(RenderError):
     """A render process ended in the middle of its work."""
 
 
+class BrokenShardError(RenderError):
+    """The bytes of a shard are not those that its index tells of; ``number`` is the shard's among those that are read."""
+
+    def __init__(self, message: str, number: int | None = None) -> None:
+        self.number = number
+        super().__init__(message)
+
+
 class NotReadyError(BusyError):
     """No render process has warmed up yet."""
 
@@ -105,6 +113,7 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     WorkerCrashError: Outcome(
         503, FAILED, "worker_crash", "Two render processes ended in the middle of this picture; others take their places.", 2
     ),
+    BrokenShardError: Outcome(500, FAILED, "broken_shard", "Tiles that were stored are broken; the log says which."),
     GraphicsError: Outcome(
         503, FAILED, "graphics", "The service cannot draw: OpenGL does not work; its log says why.", retry_after_s=30
     ),

@@ -100,6 +100,7 @@ MAY_IMPORT = {
     "api.map_probing": "",
     "api.file_stamps": "",
     "api.workers": "device_calibration errors layers map_probing point settings sun_hours_layer",
+    "api.seed": "errors",
     "api.library": "catalogue device_calibration layers point raster_file shade sun_hours",
     "api.matrices": "errors workers",
     "api.http": "color_scale errors file_stamps layers matrices point settings shadow_parameters sun_hours_layer workers",
