@@ -32,6 +32,9 @@ from terrain.level.level import SUN, EffectName
 from terrain.scene import Scene
 from terrain.shading import albedo_of, open_sky, shade, sky, srgb_encoded
 
+RENDERER_VERSION = 1
+"""Raised by hand with every change by which any picture becomes another one: pyramids that were drawn before are then drawn anew."""
+
 SHADING_PASS = "shading"
 REFRACTION_PASS = "refraction"
 

@@ -19,6 +19,7 @@ from api.cli.level_argument import takes_level
 from api.cli.options import overrides_of, with_shadow_options
 from api.cli.outputs import check_targets
 from api.cli.same_command import same_command
+from api.cli.seed_command import seed
 from api.cli.times import suns_of
 from api.errors import exit_status
 from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
@@ -180,6 +181,9 @@ def shade_raster(
         suns, cells = scene_of_item(stac, suns, like, free=bounds is None and crs is None and resolution is None)
     with _progress("Shading") as advance:
         shade_level(level, output, layer, suns, _bounds(bounds), crs, resolution, cells, overrides, advance)
+
+
+app.command("seed")(seed)
 
 
 @app.command("point")

@@ -12,9 +12,9 @@ from terrain.level.level import Shadows, parse_algorithm
 from terrain.level.setting import FrontEnd, Setting, settings_of
 
 
-def with_shadow_options(command: FrontEnd) -> Callable[[FunctionT], FunctionT]:
-    """Decorate a command that takes ``**asked``: it has an option for every setting that it takes."""
-    return takes_settings(command, _option, after="crs")
+def with_shadow_options(command: FrontEnd, after: str = "crs") -> Callable[[FunctionT], FunctionT]:
+    """Decorate a command that takes ``**asked``: it has an option for every setting that it takes, ``after`` one of its own."""
+    return takes_settings(command, _option, after)
 
 
 def overrides_of(command: FrontEnd, asked: dict[str, Any]) -> dict[str, Any]:

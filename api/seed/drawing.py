@@ -6,7 +6,6 @@ import resource
 import sys
 import time as clock
 from dataclasses import dataclass
-from pathlib import Path
 
 from morecantile import tms as matrix_sets
 from pmtiles.tile import zxy_to_tileid

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,11 +73,17 @@ class ReachedGround:
         self._scene, self._chunks = scene, chunks
         self._points = _chunk_points(scene, chunks)
 
-    def digests(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan, shades_ground: bool) -> list[bytes]:
-        """A digest of each block (x, y) of a tile matrix's ``grid``; ``plan`` is what draws them under the scene's sun, of which
-        the ground is shaded, too, where the picture ``shades_ground``.
+    def under(self, scene: Scene) -> ReachedGround:
+        """The same of the same ground under another sun."""
+        other = copy(self)
+        other._scene = scene
+        return other
+
+    def digests(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None, shades_ground: bool) -> list[bytes]:
+        """A digest of each block (x, y) of a tile matrix's ``grid``; ``plan`` is what draws them under the scene's sun (``None``:
+        heights are told, and nothing is lit), and shades the ground, too, where the picture ``shades_ground``.
         """
-        sky = _SkyDigests(self._scene) if shades_ground and SKY_PASS in plan.runs else None
+        sky = _SkyDigests(self._scene) if shades_ground and plan is not None and SKY_PASS in plan.runs else None
         out = []
         for (x, y), reached in zip(blocks, self.reached(grid, blocks, plan), strict=True):
             digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
@@ -87,16 +94,27 @@ class ReachedGround:
             out.append(digest.digest())
         return out
 
-    def reached(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan) -> list[np.ndarray]:
+    def reached(self, grid: Grid, blocks: Sequence[tuple[int, int]], plan: Plan | None) -> list[np.ndarray]:
         """The chunks (rows, cols) bool that each block hangs on."""
         shape = self._chunks.low_m.shape
-        if plan.runs & WHOLE_LEVEL:
+        if plan is not None and plan.runs & WHOLE_LEVEL:
             return [np.ones(shape, np.bool_) for _ in blocks]
-        sunlit = self._tops_in_sun(plan)
+        sunlit = None if plan is None else self._tops_in_sun(plan)
         out = []
         for x, y in blocks:
             shown = self._shown(grid, x, y)
             out.append(shown if sunlit is None else shown | self._shading(grid, x, y, shown, sunlit))
+        return out
+
+    def shares_on_data(self, grid: Grid, blocks: Sequence[tuple[int, int]]) -> list[float]:
+        """How much of each block lies on the raster, 0 to 1, about."""
+        rows, cols = self._scene.elevation.shape
+        out = []
+        for x, y in blocks:
+            top, bottom, left, right = self._cells_of(grid, x, y)
+            across = (min(right, cols) - max(left, 0)) / (right - left) if np.isfinite(right) else 1.0
+            down = (min(bottom, rows) - max(top, 0)) / (bottom - top) if np.isfinite(bottom) else 1.0
+            out.append(float(np.clip(across, 0.0, 1.0) * np.clip(down, 0.0, 1.0)))
         return out
 
     def _cells_of(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:

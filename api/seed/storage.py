@@ -35,8 +35,8 @@ class FolderStore:
         self._folder = folder
 
     def write(self, name: str, content: bytes) -> None:
-        """A file beside its place, moved there: a worker that dies in between leaves what was there. It is not waited until it is on
-        the disk: whoever reads a shard knows its digests.
+        """A file beside its place, moved there: a worker that dies in between leaves what was there. It is not waited until it is
+        on the disk: whoever reads a shard knows its digests.
         """
         path = self._folder / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,251 @@
+"""``skugga seed``: from its options to archives, and what it shows meanwhile."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import typer
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from api.cli.outputs import check_targets
+from api.cli.shading import TIME_WORD
+from api.cli.times import suns_of, time_in_name
+from api.matrices import ZoomRange
+from api.seed.drawing import Drawn, check_seeded_format
+from api.seed.local_pool import LocalPool, Runner
+from api.seed.planning import PlannedRun, SeedRequest, plan_run
+from api.seed.publishing import check_output
+from api.seed.running import Progress as Done
+from api.seed.seeding import Seeded, look_for_lost_shards, seed
+from api.seed.storage import ShardStore, store_at
+from api.seed.task_table import TaskTable
+from api.settings import cores
+from api.workers.block_tiles import BLOCK_TILES
+from api.workers.jobs import RequestedSettings
+from selector.formatting import format_duration
+from shadows.registry import served_algorithms
+from terrain.errors import InputError
+from terrain.level.level import parse_algorithm, parse_sun
+from terrain.level.level_source import LevelSource
+from terrain.level.parts import SunSpec
+
+TABLE = "tasks.sqlite"
+LOG = "log.jsonl"
+
+USUAL_TILE_BYTES = {"color": 60_000, "shadow": 12_000, "mask": 4_000, "terrain-rgb": 70_000, "terrarium": 70_000}
+"""Of a tile that is full of relief, as PNG, where none was drawn yet."""
+
+
+@dataclass(frozen=True)
+class SeedOptions:
+    """The command's options, as they were given."""
+
+    output: Path
+    zooms: str | None
+    layer: str
+    format: str
+    time: str | None
+    times: str | None
+    start: str | None
+    end: str | None
+    step: str | None
+    azimuth: float | None
+    altitude: float | None
+    workers: int | None
+    scheduler: str | None
+    work: Path | None
+    shards: str | None
+    dry_run: bool
+    max_tasks: int | None
+    retry_failed: bool
+    as_json: bool
+
+
+def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) -> None:
+    """Draw a level's tiles ahead, or say what would be drawn. Raises ``SkuggaError`` and ``OSError``."""
+    check_seeded_format(options.layer, options.format)
+    if asked.get("algorithm") is not None:
+        parse_algorithm(asked["algorithm"], "--algorithm", names=served_algorithms())
+    suns = tuple(
+        suns_of(parse_sun(options.time, options.azimuth, options.altitude), options.times, options.start, options.end, options.step)
+    )
+    paths = outputs_of(options.output, suns)
+    for path in paths:
+        check_output(path)
+    check_targets(level, [("--output", path) for path in paths])
+    level = level.model_copy(update={"path": level.path.resolve()})
+    request = SeedRequest(level, _zooms(options.zooms), suns, options.layer, options.format, RequestedSettings.of(asked))  # type: ignore[arg-type]
+    work = options.work or options.output.with_name(options.output.name.replace(TIME_WORD, "times") + ".seed")
+    shards = options.shards or str(work.resolve() / "shards")
+    store = store_at(shards)
+    with TaskTable(work / TABLE) as table, _Shown(work / LOG, options.as_json) as shown:
+        run = plan_run(table, request, shown.say)
+        outputs = dict(zip(run.sun_names, paths, strict=True))
+        if options.dry_run:
+            _outlook(table, run, store, options)
+            return
+        start = _runner(run, shards, options)
+        done = seed(
+            table, run, store, shards, outputs, start, shown.note, options.max_tasks, options.retry_failed
+        )  # fmt: skip
+        shown.end(done, table)
+
+
+def outputs_of(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
+    """An output for each sun. Raises ``InputError``."""
+    if len(suns) > 1 and TIME_WORD not in output.name:
+        raise InputError("--output", str(output), f"{TIME_WORD} in the name, for {len(suns)} times")
+    paths = [output.with_name(output.name.replace(TIME_WORD, time_in_name(sun, n))) for n, sun in enumerate(suns, start=1)]
+    if len(set(paths)) < len(paths):
+        raise InputError("--times", "a time twice", "different times")
+    return paths
+
+
+def _zooms(text: str | None) -> ZoomRange | None:
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d{1,2})(?:-(\d{1,2}))?", text.strip())
+    if not found or int(found[1]) > int(found[2] or found[1]):
+        raise InputError("--zooms", text, "a zoom or two, the first one first, as 8-13")
+    return ZoomRange(int(found[1]), int(found[2] or found[1]))
+
+
+def _runner(run: PlannedRun, shards: str, options: SeedOptions) -> Callable[[], Runner]:
+    if options.scheduler is None:
+        return lambda: LocalPool(run.spec, shards, options.workers or cores())
+    if options.workers is not None:
+        raise InputError("--workers", options.workers, "nothing beside --scheduler: the cluster has its own")
+    from api.seed.dask_cluster import DaskCluster
+
+    address = options.scheduler
+    return lambda: DaskCluster(run.spec, shards, address)
+
+
+def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: SeedOptions) -> None:
+    """Print what would run, and why."""
+    look_for_lost_shards(table, store)
+    if options.retry_failed:
+        table.retry(table.failed())
+    measured = table.measured()
+    rows: list[dict[str, Any]] = []
+    for sun, zoom, why, count, seconds in table.outlook():
+        usual = USUAL_TILE_BYTES.get(run.spec.layer, USUAL_TILE_BYTES["color"]) * min(4**zoom, BLOCK_TILES**2)
+        mean_bytes = measured[zoom][2] if zoom in measured else usual
+        rows.append({
+            "sun": sun, "zoom": zoom, "why": why, "tasks": count, "seconds": round(seconds, 1), "bytes": int(count * mean_bytes),
+            "measured": zoom in measured,
+        })  # fmt: skip
+    workers = options.workers or cores()
+    total = {name: sum(row[name] for row in rows) for name in ("tasks", "seconds", "bytes")}
+    counts = table.counts()
+    if options.as_json:
+        typer.echo(json.dumps({"rows": rows, "total": total, "workers": workers, "states": counts}, indent=2))
+        return
+    shown = Table("sun", "zoom", "why", box=box.SIMPLE_HEAD)
+    for name in ("tasks", "worker time", "bytes"):
+        shown.add_column(name, justify="right")
+    for row in rows:
+        shown.add_row(
+            row["sun"] or "the level's", str(row["zoom"]), row["why"], str(row["tasks"]),
+            ("" if row["measured"] else "about ") + format_duration(1000.0 * row["seconds"]), _format_bytes(row["bytes"]),
+        )  # fmt: skip
+    console = Console(width=None if sys.stdout.isatty() else 160)
+    if rows:
+        console.print(shown)
+    wall = "" if options.scheduler else f", {format_duration(1000.0 * total['seconds'] / workers)} with {workers} workers"
+    typer.echo(
+        f"{total['tasks']} tasks would run: {format_duration(1000.0 * total['seconds'])} of worker time{wall}, "
+        f"about {_format_bytes(total['bytes'])}. Done: {counts.get('done', 0)}, failed: {counts.get('failed', 0)}."
+    )
+
+
+def _format_bytes(count: float) -> str:
+    for unit in ("B", "kB", "MB", "GB"):
+        if count < 1000.0:
+            return f"{count:.3g} {unit}"
+        count /= 1000.0
+    return f"{count:.3g} TB"
+
+
+class _Shown:
+    """What a run shows: a line for each task, with a bar below on a terminal; and the same as JSON lines in a file."""
+
+    def __init__(self, log: Path, quiet: bool) -> None:
+        self._log, self._quiet = log, quiet
+        self._bar: Progress | None = None
+        self._file: IO[str] | None = None
+        self._console = Console(stderr=True)
+
+    def __enter__(self) -> _Shown:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        if self._file is not None:
+            self._file.close()
+
+    def say(self, text: str) -> None:
+        """What is done before the first task."""
+        if self._console.is_terminal:
+            self._console.print(text, style="dim")
+
+    def note(self, done: Done) -> None:
+        """A task has ended."""
+        task, outcome = done.task, done.outcome
+        place = f"zoom {task.zoom} block {task.x},{task.y}"
+        said: dict[str, Any] = {"task": task.id, "zoom": task.zoom, "x": task.x, "y": task.y, "sun": task.sun}
+        if isinstance(outcome, Drawn):
+            said |= {
+                "seconds": round(outcome.seconds, 4), "encode_s": round(outcome.encode_s, 4), "bytes": outcome.nbytes,
+                "peak_bytes": outcome.peak_bytes, "worker": outcome.worker,
+            }  # fmt: skip
+            text = f"{outcome.seconds:.2f} s, {_format_bytes(outcome.nbytes)}, worker's peak {_format_bytes(outcome.peak_bytes)}"
+        else:
+            said |= {"error": outcome.error}
+            text = f"failed: {outcome.error}"
+        said |= {"done": done.done, "total": done.total}
+        self._write(said)
+        self._line(f"[{done.done}/{done.total}] {place}: {text}", done)
+
+    def end(self, seeded: Seeded, table: TaskTable) -> None:
+        """The run is done."""
+        counts = table.counts()
+        said = {"drawn": seeded.drawn, "tasks": sum(counts.values()), "written": [str(path) for path in seeded.written]}
+        self._write(said)
+        if self._quiet:
+            typer.echo(json.dumps(said, indent=2))
+            return
+        for path in seeded.written:
+            typer.echo(f"Wrote {path}.")
+        if not seeded.written:
+            typer.echo(f"Nothing to do: all {said['tasks']} tasks are done, and what was written is as they are.")
+
+    def _write(self, said: dict[str, Any]) -> None:
+        if self._file is None:
+            self._file = self._log.open("a", encoding="utf-8")
+        self._file.write(json.dumps(said) + "\n")
+        self._file.flush()
+
+    def _line(self, text: str, done: Done) -> None:
+        if self._quiet:
+            return
+        if not self._console.is_terminal:
+            typer.echo(text, err=True)
+            return
+        if self._bar is None:
+            columns = TextColumn("Drawing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+            self._bar = Progress(*columns, console=self._console, transient=True)
+            self._row = self._bar.add_task("", total=done.total)
+            self._bar.start()
+        self._bar.console.print(text, highlight=False)
+        self._bar.update(self._row, completed=done.done, total=done.total)

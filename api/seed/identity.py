@@ -1,0 +1,124 @@
+"""What a level is, wherever its files lie and whenever they were written: digests of its settings and of its files' contents."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from api.file_stamps import file_stamps
+from api.seed.ground_chunks import GroundChunks, ground_chunks
+from api.seed.task_table import TaskTable
+from shadows.plan import Plan
+from terrain.level.level import LoadedLevel
+from terrain.level.linked_files import files_beside, is_remote, linked_files
+from terrain.scene import Scene
+
+NO_PICTURE = {"title", "attribution", "views", "shadows"}
+"""Keys of a level by which no tile becomes another one; what ``shadows`` says is in the plans."""
+
+READ_BYTES = 2**20
+
+
+def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable, shades_by_height: bool) -> str:
+    """The digest of all that a level says of its tiles but the ground's heights, for a scene of it; of the range of those, too,
+    where pictures go by it. Raises ``OSError``.
+    """
+    said = scene.loaded.level.model_dump(mode="json", exclude=NO_PICTURE)
+    terrain = loaded.level.terrain.source
+    contents = {name: contents_digest(loaded.resolve(name), table) for name in _names(loaded) if name != terrain}
+    if terrain is not None:
+        contents[terrain] = ""
+    ground = scene.elevation
+    facts = {
+        "shape": ground.shape, "cells": [float(v) for v in (*ground.xy(0, 0), *ground.xy(1, 1))], "crs": ground.crs.to_wkt(),
+        "range": scene.height_range_m if shades_by_height else None,
+    }  # fmt: skip
+    return digest_of_json([_without_paths(said, contents), facts])
+
+
+def ground_of(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> GroundChunks:
+    """The chunks of a level's ground: read anew only if a file that it is in has changed. Raises ``SourceError``."""
+    source = loaded.source
+    stamp = _stamp_of(source) if source and Path(source).exists() else None
+    asked = f"{stamp} {loaded.level.terrain.model_dump_json()} {None if loaded.level.water is None else loaded.level.water.level}"
+    kept = table.get("ground")
+    if stamp is not None and kept is not None and table.get("ground_stamp") == asked.encode():
+        return GroundChunks.from_bytes(kept)
+    chunks = ground_chunks(scene.elevation)
+    table.put(ground=chunks.to_bytes(), ground_stamp=asked.encode())
+    return chunks
+
+
+def contents_digest(source: str, table: TaskTable) -> str:
+    """The digest of a file's bytes, of those that it leads to and of those beside it; of an address, of that alone.
+
+    Files whose stamps have not changed are not read again. Raises ``OSError``.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+    for path in _files_of(source):
+        if is_remote(str(path)):
+            digest.update(str(path).encode())
+            continue
+        stamp = repr(file_stamps([path]))
+        found = table.file_digest(str(path), stamp)
+        if found is None:
+            found = _digest_of_bytes(path)
+            table.put_file(str(path), stamp, found)
+        digest.update(found.encode())
+    return digest.hexdigest()
+
+
+def plan_digest(plan: Plan | None) -> str:
+    """The digest of what a plan does, whatever its reasons and expectations."""
+    return digest_of_json(None if plan is None else plan.model_dump(mode="json", include={"algorithm", "settings"}) | {
+        "effects": sorted(plan.runs)
+    })  # fmt: skip
+
+
+def digest_of_json(value: Any) -> str:
+    """32 hexadecimal digits."""
+    return hashlib.blake2b(json.dumps(value, sort_keys=True).encode(), digest_size=16).hexdigest()
+
+
+def _names(loaded: LoadedLevel) -> list[str]:
+    """The files that a level names, in its own spelling."""
+    level = loaded.level
+    named = [level.terrain.source, level.terrain.imagery, *(stand.source for stand in level.forest)]
+    for mesh in level.meshes:
+        named += [mesh.source, mesh.caster, mesh.surface, mesh.ground]
+    return [name for name in dict.fromkeys(named) if name is not None]
+
+
+def _without_paths(value: Any, contents: dict[str, str]) -> Any:
+    """A value in which names of files are replaced by digests of their contents."""
+    if isinstance(value, dict):
+        return {key: _without_paths(each, contents) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_paths(each, contents) for each in value]
+    return contents.get(value, value) if isinstance(value, str) else value
+
+
+def _files_of(source: str) -> list[Path]:
+    found = [Path(source), *(Path(each) if not is_remote(each) else Path(each) for each in linked_files(source))]
+    beside = [each for path in found if not is_remote(str(path)) for each in files_beside(path)]
+    return [path for path in dict.fromkeys([*found, *beside]) if is_remote(str(path)) or path.is_file()]
+
+
+def _stamp_of(source: str) -> str:
+    return repr(file_stamps(_files_of(source)))
+
+
+def _digest_of_bytes(path: Path) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    with path.open("rb") as file:
+        for part in _parts(file):
+            digest.update(part)
+    return digest.hexdigest()
+
+
+def _parts(file: Any) -> Iterable[bytes]:
+    while part := file.read(READ_BYTES):
+        yield part

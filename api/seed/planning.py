@@ -1,0 +1,253 @@
+"""The tasks of a run: which there are, what each one's tiles hang on, by which plans they are drawn, and how long that may take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pmtiles.tile import zxy_to_tileid
+
+from api.device_calibration import calibration
+from api.file_stamps import Stamp, file_stamps, level_version, watched_files
+from api.layers import LAYERS, MapFormat, MapLayer
+from api.matrices import OVERZOOMS, LonLatBounds, ZoomRange, extent_off_data, matrix_set_of, tile_limits, zoom_range
+from api.seed.archive import first_tile_id
+from api.seed.identity import digest_of_json, ground_of, level_digest, plan_digest
+from api.seed.reached_ground import ReachedGround
+from api.seed.run_spec import MATRIX_SET, PlannedZoom, RunSpec
+from api.seed.task_table import KeyParts, PlannedTask, TaskTable
+from api.workers.block_tiles import BLOCK_TILES
+from api.workers.drawn_blocks import block_of_grid
+from api.workers.jobs import LevelKey, PictureRequest, RequestedSettings, Tiles
+from api.workers.map_plans import plan_in_service
+from api.workers.plan_basis import PlanBasis
+from api.workers.render_worker import tiles_view
+from selector.kept_probes import load_probes, probes_folder
+from shadows.plan import Plan
+from shadows.render import RENDERER_VERSION
+from terrain.errors import InputError, NoOpenGLError, RenderError, UnsupportedError
+from terrain.gbuffer.covered_nodes import is_bare
+from terrain.geo.grid import tile_grid
+from terrain.geo.world import LONGITUDE_LATITUDE, transformer
+from terrain.gl import device as gl
+from terrain.level.level import LoadedLevel, load_level
+from terrain.level.level_source import LevelSource
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+
+FIRST_GUESS_S = 0.25
+"""Seconds that a whole task may take of which nothing is known; with a prediction ..."""
+
+BESIDE_SHADOWS_S = 0.15
+"""... it is that and so much for ground, shading and files."""
+
+EMPTY_SHARE = 0.05
+"""Of a whole task's time, what one takes that shows hardly any data."""
+
+
+@dataclass(frozen=True)
+class SeedRequest:
+    """What is asked for: a level, zooms (``None``: from the one that shows all of it to the one of its cells), suns (``None``: the
+    level's own), a layer in a format, and shadow settings.
+    """
+
+    level: LevelSource
+    zooms: ZoomRange | None
+    suns: tuple[SunSpec | None, ...]
+    layer: MapLayer
+    format: MapFormat
+    overrides: RequestedSettings = RequestedSettings()
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """A run whose tasks stand in the table. ``sun_names`` stand for its suns there; ``files`` are what the level is read from, with
+    ``stamps`` of before they were read; ``bounds`` is where the data lies.
+    """
+
+    spec: RunSpec
+    loaded: LoadedLevel
+    sun_names: tuple[str, ...]
+    zooms: ZoomRange
+    bounds: LonLatBounds
+    files: tuple[Path, ...]
+    stamps: tuple[Stamp, ...]
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether the level's files are as they were when they were read."""
+        return file_stamps(self.files) == self.stamps
+
+
+def renderer_here() -> str:
+    """What this process draws with."""
+    try:
+        return gl.device().renderer
+    except NoOpenGLError:
+        return gl.NO_OPENGL
+
+
+def plan_run(table: TaskTable, request: SeedRequest, say: Callable[[str], None]) -> PlannedRun:
+    """Fill a table with the tasks of a run. Of a level that has not changed they are there already. Raises ``SkuggaError`` and
+    ``OSError``.
+    """
+    loaded = load_level(request.level)
+    files = watched_files(loaded)
+    stamps = file_stamps(files)  # before they are read: what changes meanwhile is noticed
+    renderer = _renderer_of(table)
+    scene = build_scene(loaded)
+    try:
+        zooms, bounds = _zooms(scene, request.zooms)
+        version = level_version(loaded, stamps)
+        asked = digest_of_json([RENDERER_VERSION, renderer, version, str(zooms), repr(request)])
+        suns = tuple(PictureRequest(sun=sun).query() for sun in request.suns)
+        kept, made = table.get("spec"), table.get("asked")
+        if kept is not None and made == asked.encode():
+            spec = RunSpec.model_validate_json(kept)
+        else:
+            spec = _planned(table, request, scene, loaded, version, renderer, zooms, bounds, suns, say)
+            table.put(spec=spec.model_dump_json().encode(), asked=asked.encode())
+    finally:
+        scene.close()
+    return PlannedRun(spec, loaded, suns, zooms, bounds, files, stamps)
+
+
+def _planned(
+    table: TaskTable,
+    request: SeedRequest,
+    scene: Scene,
+    loaded: LoadedLevel,
+    version: str,
+    renderer: str,
+    zooms: ZoomRange,
+    bounds: LonLatBounds,
+    suns: Sequence[str],
+    say: Callable[[str], None],
+) -> RunSpec:
+    table.put(asked=b"")  # whatever ends this now, it is done again
+    say("Reading the ground")
+    ground = ReachedGround(scene, ground_of(loaded, scene, table))
+    encoded, overrides = LAYERS[request.layer].encoding is not None, request.overrides
+    shades_by_height = request.layer == "color" or encoded or not is_bare(scene)
+    settings = digest_of_json(
+        [level_digest(loaded, scene, table, shades_by_height), request.layer, request.format, overrides.model_dump(mode="json")]
+    )
+    planner = _Planner(table, scene, LevelKey(**{**request.level.model_dump(), "version": version}), overrides.for_selector())
+    tasks, plans, measured = [], [], table.measured()
+    for number, (sun, name) in enumerate(zip(request.suns, suns, strict=True)):
+        seen = scene.with_sun(sun)
+        here = ground.under(seen)
+        for zoom in range(zooms.first, zooms.last + 1):
+            say(f"Planning zoom {zoom}" + (f" under sun {number + 1} of {len(suns)}" if len(suns) > 1 else ""))
+            plan = None if encoded else planner.plan(seen, name, zoom)
+            if plan is not None:
+                plans.append(PlannedZoom(sun=number, zoom=zoom, plan=plan.model_dump_json()))
+            grid, blocks = tile_grid(matrix_set_of(MATRIX_SET), zoom), blocks_of_zoom(zoom, bounds)
+            digests = here.digests(grid, blocks, plan, request.layer == "color")
+            shares = here.shares_on_data(grid, blocks)
+            whole_s = _seconds_of_whole(plan, zoom, measured)
+            for (x, y), digest, share in zip(blocks, digests, shares, strict=True):
+                parts = KeyParts(digest_of_json([RENDERER_VERSION, renderer]), settings, plan_digest(plan), digest.hex())
+                expected_s = whole_s * max(share, EMPTY_SHARE)
+                tasks.append(PlannedTask(name, zoom, x, y, first_tile_of_block(zoom, x, y), parts, expected_s))
+    table.want(tasks)
+    return RunSpec(
+        level=request.level, ground=version, renderer=renderer, layer=request.layer, format=request.format, overrides=overrides,
+        suns=request.suns, plans=tuple(plans),
+    )  # fmt: skip
+
+
+class _Planner:
+    """Makes the plans of a level's zooms, as a service would make them; those that the table has stand."""
+
+    def __init__(self, table: TaskTable, scene: Scene, level: LevelKey, overrides: dict[str, Any]) -> None:
+        self._table, self._level, self._overrides = table, level, overrides
+        self._asked = digest_of_json([scene.loaded.level.model_dump(mode="json"), repr(sorted(overrides.items()))])
+        self._basis: PlanBasis | None = None
+
+    def plan(self, scene: Scene, sun: str, zoom: int) -> Plan:
+        """The plan of a zoom under a scene's sun, which has a name in the table. Raises ``SkuggaError``."""
+        kept = self._table.plan(sun, zoom, self._asked)
+        if kept is not None:
+            return Plan.model_validate_json(kept)
+        if self._basis is None:
+            self._basis = _basis(self._level)
+        view = tiles_view(scene, Tiles(matrix_set=MATRIX_SET, zoom=zoom))
+        plan = plan_in_service(scene, view, "map", self._overrides, self._level, self._basis)
+        self._table.put_plan(sun, zoom, self._asked, plan.model_dump_json())
+        return plan
+
+
+def _basis(level: LevelKey) -> PlanBasis:
+    """What a service here would make plans by."""
+    if renderer_here() == gl.NO_OPENGL:
+        return PlanBasis()
+    probes = load_probes(probes_folder(*gl.renderer_and_version()) / f"{level.version}.json")
+    return PlanBasis(calibration(), {level.version: probes.model_dump_json()})
+
+
+def _renderer_of(table: TaskTable) -> str:
+    """The renderer of a table's plans: this process's, in a new one. Raises ``RenderError`` where it is another one."""
+    here, kept = renderer_here(), table.get("renderer")
+    if kept is None:
+        table.put(renderer=here.encode())
+    elif kept.decode() != here:
+        raise RenderError(
+            f"{table.folder}: its tasks are planned for the renderer '{kept.decode()}', and here '{here}' draws; run it there, "
+            f"or delete the folder to begin anew"
+        )
+    return here
+
+
+def _zooms(scene: Scene, asked: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
+    """The zooms of a run, and where the level's data lies. Raises ``InputError`` for zooms beyond the data."""
+    shown = scene.bounds_lon_lat
+    if shown is None:
+        raise UnsupportedError("LEVEL", scene.loaded.name, "an engineering CRS is not georeferenced, so there are no tiles")
+    cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    served = zoom_range(matrix_set_of(MATRIX_SET), scene.world, shown, cell_m)
+    if served is None:
+        raise UnsupportedError("LEVEL", scene.loaded.name, f"it lies outside of {MATRIX_SET}")
+    if asked is not None and not 0 <= asked.first <= asked.last <= served.last:
+        allowed = f"zooms 0 to {served.last} (its cells show at {served.last - OVERZOOMS}), the first one first"
+        raise InputError("--zooms", f"{asked.first}-{asked.last}", allowed)
+    west, south, east, north = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
+        *scene.elevation.bounds, densify_pts=21
+    )
+    bounds = west, south, east + 360.0 if east < west else east, north
+    return asked or ZoomRange(served.first, max(served.last - OVERZOOMS, served.first)), bounds
+
+
+def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:
+    """The blocks (x, y) of a zoom that may show data in some bounds."""
+    matrix_set, side = matrix_set_of(MATRIX_SET), 2**zoom
+    top, bottom, left, right = tile_limits(matrix_set, zoom, bounds)
+    blocks = [
+        (x, y)
+        for y in range(top // BLOCK_TILES, bottom // BLOCK_TILES + 1)
+        for x in range(left // BLOCK_TILES, right // BLOCK_TILES + 1)
+    ]
+    if (left, right) != (0, side - 1):
+        return blocks
+    grid = tile_grid(matrix_set, zoom)  # round the earth, or across the antimeridian
+    return [(x, y) for x, y in blocks if not extent_off_data(grid.crs, block_of_grid(grid, x, y).bounds, bounds)]
+
+
+def first_tile_of_block(zoom: int, x: int, y: int) -> int:
+    """The least tile id in a block: the ids of its tiles follow one another."""
+    first = first_tile_id(zoom)
+    if 2**zoom < BLOCK_TILES:
+        return first
+    some = zxy_to_tileid(zoom, x * BLOCK_TILES, y * BLOCK_TILES) - first
+    return first + some // BLOCK_TILES**2 * BLOCK_TILES**2
+
+
+def _seconds_of_whole(plan: Plan | None, zoom: int, measured: dict[int, tuple[int, float, float]]) -> float:
+    """How long a task that is full of data is expected to take: as others of its zoom did, or as the plan predicts."""
+    if zoom in measured:
+        return measured[zoom][1]
+    if plan is None or plan.predicted is None:
+        return FIRST_GUESS_S
+    return plan.predicted.ms / 1000.0 + BESIDE_SHADOWS_S

@@ -1,0 +1,161 @@
+"""What a run makes of its shards: an archive for each sun, or folders of tiles. Written only when all tasks are done."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from pmtiles.tile import tileid_to_zxy
+
+from api.errors import BrokenShardError
+from api.file_stamps import file_stamps
+from api.seed.archive import ArchiveFacts, ShardIndex, write_archive
+from api.seed.planning import PlannedRun
+from api.seed.run_spec import MATRIX_SET
+from api.seed.running import shard_name
+from api.seed.storage import ShardStore
+from api.seed.task_table import LOST, TaskTable
+from terrain.errors import InputError
+from terrain.whole_files import write_whole
+
+ARCHIVE = ".pmtiles"
+
+MANIFEST = "tiles.json"
+"""Of a folder of tiles: its TileJSON. It is written last: where it is, the folder is whole."""
+
+
+def is_archive(output: Path) -> bool:
+    """Whether an output is an archive; else it is a folder of tiles."""
+    return output.suffix.lower() == ARCHIVE
+
+
+def check_output(output: Path) -> None:
+    """Raise ``InputError`` or ``OSError`` for what cannot be written, before any work is done for it."""
+    if not output.parent.is_dir():
+        raise FileNotFoundError(2, "folder not found", str(output.parent))
+    if is_archive(output):
+        if output.is_dir():
+            raise InputError("--output", str(output), "a file: there is a folder of that name")
+    elif output.exists() and not output.is_dir():
+        raise InputError("--output", str(output), f"a folder for tiles, or a name that ends in {ARCHIVE}")
+    elif output.is_dir() and any(output.iterdir()) and not (output / MANIFEST).exists():
+        raise InputError("--output", str(output), f"a new folder, an empty one or one of tiles that has a {MANIFEST}")
+
+
+def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mapping[str, Path]) -> list[Path]:
+    """Write the outputs, by suns' names, that are not as the tasks are; the ones written. Tasks whose shards are broken wait again:
+    raises ``BrokenShardError`` then. Raises ``OSError``.
+    """
+    written = []
+    for sun, output in outputs.items():
+        done = table.done(sun)
+        state = _state_of(run, sun, done)
+        if table.get(f"written {output}") == f"{state} {_stamp(output)}".encode():
+            continue
+        numbers, keys = [each[0] for each in done], [each[1] for each in done]
+        indexes = [ShardIndex.from_bytes(each[2]) for each in done]
+
+        def read(number: int, keys: list[str] = keys, indexes: list[ShardIndex] = indexes) -> bytes:
+            if not len(indexes[number].ids):
+                return b""
+            try:
+                return store.read(shard_name(keys[number]))
+            except FileNotFoundError:
+                raise BrokenShardError(f"shard {number} is lost", number) from None
+
+        try:
+            if is_archive(output):
+                write_archive(output, indexes, read, _facts(run, sun))
+            else:
+                _write_folder(table, output, numbers, keys, indexes, read, run, sun)
+        except BrokenShardError as error:
+            table.retry([numbers[error.number]], LOST)
+            raise
+        table.put(**{f"written {output}": f"{state} {_stamp(output)}".encode()})
+        written.append(output)
+    return written
+
+
+def _state_of(run: PlannedRun, sun: str, done: list[tuple[int, str, bytes]]) -> str:
+    """Changes with anything that an output says."""
+    digest = hashlib.blake2b(repr(_facts(run, sun)).encode(), digest_size=16)
+    for _, key, tiles in done:
+        digest.update(key.encode() + tiles)
+    return digest.hexdigest()
+
+
+def _stamp(output: Path) -> str:
+    return repr(file_stamps([output if is_archive(output) else output / MANIFEST]))
+
+
+def _facts(run: PlannedRun, sun: str) -> ArchiveFacts:
+    spec, level = run.spec, run.loaded.level
+    title = level.title or run.loaded.name
+    query = spec.request(run.sun_names.index(sun)).query()
+    metadata: dict[str, Any] = {
+        "name": title, "description": f"{title}: {spec.layer}, shaded by Skugga", "attribution": level.attribution,
+        "type": "overlay" if spec.layer == "shadow" else "baselayer", "version": "1",
+        "skugga": {"level": run.loaded.name, "layer": spec.layer, "format": spec.format, "tms": MATRIX_SET, "query": query},
+    }  # fmt: skip
+    format = cast(Literal["png", "webp", "jpg"], spec.format)
+    return ArchiveFacts(format, run.bounds, run.zooms.first, run.zooms.last, metadata)
+
+
+def _write_folder(
+    table: TaskTable,
+    output: Path,
+    numbers: list[int],
+    keys: list[str],
+    indexes: list[ShardIndex],
+    read: Any,
+    run: PlannedRun,
+    sun: str,
+) -> None:
+    """Write the tiles of tasks that are not in the folder yet, and the manifest last."""
+    with suppress(FileNotFoundError):
+        (output / MANIFEST).unlink()
+    there = table.published(str(output))
+    for place, (number, key, index) in enumerate(zip(numbers, keys, indexes, strict=True)):
+        before = there.pop(number, None)
+        if before is not None and before[0] == key:
+            continue
+        if before is not None:
+            _delete_tiles(output, ShardIndex.from_bytes(before[1]), run.spec.format)
+        content, begin = read(place), 0
+        for tile_id, length in zip(index.ids.tolist(), index.lengths.tolist(), strict=True):
+            path = _tile_path(output, tile_id, run.spec.format)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content[begin : begin + length])
+            begin += length
+        table.note_published(str(output), number, key, index.to_bytes())
+    for number, (_, tiles) in there.items():  # of zooms that are not asked for any more
+        _delete_tiles(output, ShardIndex.from_bytes(tiles), run.spec.format)
+        table.forget_published(str(output), number)
+    write_whole(output / MANIFEST, _tile_json(run, sun))
+
+
+def _tile_path(output: Path, tile_id: int, format: str) -> Path:
+    z, x, y = tileid_to_zxy(tile_id)
+    return output / str(z) / str(x) / f"{y}.{format}"
+
+
+def _delete_tiles(output: Path, index: ShardIndex, format: str) -> None:
+    for tile_id in index.ids.tolist():
+        with suppress(FileNotFoundError):
+            _tile_path(output, tile_id, format).unlink()
+
+
+def _tile_json(run: PlannedRun, sun: str) -> str:
+    """TileJSON 3.0.0: https://github.com/mapbox/tilejson-spec/tree/master/3.0.0."""
+    facts = _facts(run, sun)
+    west, south, east, north = facts.bounds
+    said = {
+        "tilejson": "3.0.0", "tiles": [f"{{z}}/{{x}}/{{y}}.{facts.format}"],
+        "minzoom": facts.first_zoom, "maxzoom": facts.last_zoom,
+        "bounds": [-180.0 if east > 180.0 else west, south, min(east, 180.0), north], **facts.metadata,
+    }  # fmt: skip
+    return json.dumps({**said, "version": "1.0.0"}, indent=1) + "\n"

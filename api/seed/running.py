@@ -1,0 +1,94 @@
+"""A run's tasks drawn, by whatever draws them: the heaviest first, each noted as soon as it is done."""
+
+from __future__ import annotations
+
+import time as clock
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from api.seed.drawing import Drawn
+from api.seed.local_pool import Runner
+from api.seed.planning import PlannedRun
+from api.seed.render_process import NotDrawn
+from api.seed.run_spec import Task
+from api.seed.task_table import TaskTable
+from terrain.errors import RenderError
+
+TRIES = 3
+"""How often a task is begun of which workers die."""
+
+LOOK_EVERY_S = 0.5
+"""How often it is looked whether the level's files have changed, where there are many of them; ..."""
+
+FEW_FILES = 100
+"""... where there are no more, after every task."""
+
+HEARD_EVERY_S = 1.0
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A task that is done, or has failed (``outcome``), and how many of those of the run are."""
+
+    task: Task
+    outcome: Drawn | NotDrawn
+    done: int
+    total: int
+
+
+def shard_name(key: str) -> str:
+    """The name of a key's shard."""
+    return f"{key[:2]}/{key}.tiles"
+
+
+def task_of(table: TaskTable, run: PlannedRun, number: int) -> Task:
+    """A task as workers are told it."""
+    sun, zoom, x, y, key = table.place(number)
+    return Task(number, run.sun_names.index(sun), zoom, x, y, shard_name(key))
+
+
+def run_tasks(table: TaskTable, run: PlannedRun, runner: Runner, on_progress: Callable[[Progress], None]) -> None:
+    """Draw what waits. Tasks that fail are noted, and the others go on.
+
+    Raises ``RenderError`` where the level changes meanwhile, where no shard can be written, and where nothing can be drawn: what is
+    done by then stays done.
+    """
+    waiting = deque(table.waiting())
+    running: dict[int, Task] = {}
+    unchecked: list[Drawn] = []
+    total, done, looked = len(waiting), 0, clock.monotonic()
+    while waiting or running:
+        while waiting and runner.free() > 0:
+            task = task_of(table, run, waiting.popleft())
+            running[task.id] = task
+            runner.submit(task)
+        for outcome in runner.wait(HEARD_EVERY_S):
+            ended = running.pop(outcome.id, None)
+            if ended is None:
+                continue  # it was begun twice, and is done
+            if isinstance(outcome, NotDrawn):
+                if outcome.how == "stopped":
+                    _note(table, run, unchecked)
+                    raise RenderError(outcome.error)
+                if outcome.how == "died" and table.tried(outcome.id) < TRIES:
+                    waiting.append(outcome.id)
+                    continue
+                table.fail(outcome.id, outcome.error)
+            else:
+                unchecked.append(outcome)
+            done += 1
+            on_progress(Progress(ended, outcome, done, total))
+        if unchecked and (len(run.files) <= FEW_FILES or clock.monotonic() - looked > LOOK_EVERY_S or not running):
+            _note(table, run, unchecked)
+            unchecked, looked = [], clock.monotonic()
+
+
+def _note(table: TaskTable, run: PlannedRun, drawn: list[Drawn]) -> None:
+    """Note what was drawn of a level that is still what it was."""
+    if not run.unchanged:
+        raise RenderError(
+            f"{run.loaded.path}: the level, or a file that it is made of, has changed during the run; "
+            f"what was drawn before that is kept, the same command goes on"
+        )
+    table.finish(drawn)

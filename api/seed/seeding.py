@@ -1,0 +1,105 @@
+"""A whole run: planned, drawn, published. What ``skugga seed`` does, whatever it shows of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from api.errors import BrokenShardError
+from api.seed.local_pool import Runner
+from api.seed.planning import PlannedRun
+from api.seed.publishing import publish
+from api.seed.running import Progress, run_tasks, shard_name
+from api.seed.storage import ShardStore, check_writable
+from api.seed.task_table import LOST, TaskTable
+from terrain.errors import InputError, RenderError
+from terrain.whole_files import write_whole
+
+TIMES_PUBLISHED = 5
+"""How often broken shards are drawn anew before the run gives up."""
+
+FAILED_LIST = "failed.txt"
+
+
+@dataclass(frozen=True)
+class Seeded:
+    """What a run did: tasks drawn now, and the outputs that it wrote."""
+
+    drawn: int
+    written: list[Path]
+
+
+def look_for_lost_shards(table: TaskTable, store: ShardStore) -> None:
+    """Let tasks wait again whose shards are not there any more."""
+    there = store.names()
+    table.retry([number for number, key in table.with_shards() if shard_name(key) not in there], LOST)
+
+
+def seed(
+    table: TaskTable,
+    run: PlannedRun,
+    store: ShardStore,
+    shards: str,
+    outputs: Mapping[str, Path],
+    start: Callable[[], Runner],
+    on_progress: Callable[[Progress], None],
+    most_tasks: int | None = None,
+    retry_failed: bool = False,
+) -> Seeded:
+    """Draw all tasks that wait, and write the outputs where none has failed.
+
+    Raises ``InputError`` where more than ``most_tasks`` would run, ``RenderError`` where some have failed, and as ``run_tasks``.
+    """
+    look_for_lost_shards(table, store)
+    if retry_failed:
+        table.retry(table.failed())
+    waiting = len(table.waiting())
+    if most_tasks is not None and waiting > most_tasks:
+        raise InputError("--max-tasks", most_tasks, f"{waiting} or more, as many as would run (--dry-run says why)")
+    if waiting:
+        check_writable(store, shards)
+    drawn = 0
+    for _ in range(TIMES_PUBLISHED):
+        drawn += _draw(table, run, start, on_progress)
+        _tell_failed(table)
+        try:
+            written = publish(table, run, store, outputs)
+        except BrokenShardError:
+            continue
+        forget_shards(table, store)
+        return Seeded(drawn, written)
+    raise RenderError(f"{shards}: shards are lost or broken as soon as they are written")
+
+
+def forget_shards(table: TaskTable, store: ShardStore) -> None:
+    """Delete shards of keys that no task has any more."""
+    store.delete(store.names() - {shard_name(key) for key in table.keys()})
+
+
+def _draw(
+    table: TaskTable, run: PlannedRun, start: Callable[[], Runner], on_progress: Callable[[Progress], None]
+) -> int:  # fmt: skip
+    waiting = len(table.waiting())
+    if waiting:
+        runner = start()
+        try:
+            run_tasks(table, run, runner, on_progress)
+        finally:
+            runner.close()
+    return waiting
+
+
+def _tell_failed(table: TaskTable) -> None:
+    """Write the list of failed tasks. Raises ``RenderError`` if there are any."""
+    failed, path = table.failed(), table.folder / FAILED_LIST
+    if not failed:
+        path.unlink(missing_ok=True)
+        return
+    lines = [f"zoom {each.zoom} block {each.x},{each.y} {each.sun}: {each.error}".replace("\n", " ") for each in failed.values()]
+    write_whole(path, "\n".join(lines) + "\n")
+    count = table.counts()
+    raise RenderError(
+        f"{len(failed)} of {sum(count.values())} tasks failed, and nothing was published: {path} lists them, --retry-failed tries "
+        f"them again; the first: {lines[0]}"
+    )
