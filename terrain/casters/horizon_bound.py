@@ -265,15 +265,30 @@ def _ground_of(world: World, elevation: Elevation, grid: Grid, row: int, col: in
     window = Surface(world, elevation, grid).height_window(
         row * PATCH_QUADS - more, col * PATCH_QUADS - more, side + 2 * more, side + 2 * more
     )
-    height = window.height_m
     out = np.empty((PARTS * PARTS, 3 + len(RISE_DIRECTIONS)))
-    for number, (i, j) in enumerate((i, j) for i in range(PARTS) for j in range(PARTS)):
-        around = height[i * quads : (i + 1) * quads + 1 + 2 * more, j * quads : (j + 1) * quads + 1 + 2 * more]
-        part = around[more:-more, more:-more]
-        out[number, :2] = np.fmin.reduce(part, axis=None), np.fmax.reduce(part, axis=None)
-        out[number, 2] = np.isfinite(around).all()
-        out[number, 3:] = rises(part)
+    _parts_of(window.height_m, more, quads, out)
     return out
+
+
+@compiled
+def _parts_of(height_m, more, quads, out):
+    """Fill a row of ``_ground_of`` for each part of a patch, of whose nodes and ``more`` round them the heights are given."""
+    for number in range(len(out)):
+        row, col = number // PARTS * quads, number % PARTS * quads
+        whole, low, high = True, np.inf, -np.inf
+        for i in range(row, row + quads + 1 + 2 * more):
+            for j in range(col, col + quads + 1 + 2 * more):
+                whole = whole and np.isfinite(height_m[i, j])
+        for i in range(row + more, row + more + quads + 1):
+            for j in range(col + more, col + more + quads + 1):
+                height = height_m[i, j]
+                if height < low:
+                    low = height
+                if height > high:
+                    high = height
+        out[number, 0], out[number, 1] = (low, high) if low <= high else (np.nan, np.nan)
+        out[number, 2] = whole
+        _rises(height_m[row + more : row + more + quads + 1, col + more : col + more + quads + 1], out[number, 3:])
 
 
 def rises(height_m: np.ndarray) -> np.ndarray:
@@ -282,16 +297,39 @@ def rises(height_m: np.ndarray) -> np.ndarray:
 
     A facet has one side of its quad along a row, and one along a column; each of the four pairs of them may be one's.
     """
-    across, along = np.diff(height_m, axis=1), np.diff(height_m, axis=0)
-    top, bottom, left, right = across[:-1], across[1:], along[:, :-1], along[:, 1:]
-    pairs = [(one, other) for one in (top, bottom) for other in (left, right)]
-    ends = [_ends([across]), _ends([along])]
-    ends += [_ends([one + np.float32(sign) * other for one, other in pairs]) for sign in (1.0, -1.0)]
-    reach = np.array(ends, np.float64).ravel()
-    return np.where(np.isfinite(reach), reach, 0.0)
+    out = np.empty(len(RISE_DIRECTIONS))
+    _rises(np.ascontiguousarray(height_m, np.float32), out)
+    return out
 
 
-def _ends(rises_m: list[np.ndarray]) -> tuple[float, float]:
-    """The largest of some rises, of those that are known, and of those downwards; infinities below any without."""
-    most = max(float(np.fmax.reduce(each, axis=None, initial=-np.inf)) for each in rises_m)
-    return most, -min(float(np.fmin.reduce(each, axis=None, initial=np.inf)) for each in rises_m)
+@compiled
+def _rises(height_m, out):
+    """``rises`` into an array (8,). Sums are those of float32, as heights are."""
+    out[:] = -np.inf
+    rows, cols = height_m.shape
+    for i in range(rows):
+        for j in range(cols):
+            height = height_m[i, j]
+            if j + 1 < cols:
+                _reach(out, 0, height_m[i, j + 1] - height)
+            if i + 1 < rows:
+                _reach(out, 2, height_m[i + 1, j] - height)
+            if j + 1 < cols and i + 1 < rows:
+                top, left = height_m[i, j + 1] - height, height_m[i + 1, j] - height
+                bottom, right = height_m[i + 1, j + 1] - height_m[i + 1, j], height_m[i + 1, j + 1] - height_m[i, j + 1]
+                for across in (top, bottom):
+                    for along in (left, right):
+                        _reach(out, 4, across + along)
+                        _reach(out, 6, across - along)
+    for k in range(len(out)):
+        if not np.isfinite(out[k]):
+            out[k] = 0.0
+
+
+@compiled
+def _reach(out, first, rise):
+    """Note a rise in a direction and in the one against it; NaN is none."""
+    if rise > out[first]:
+        out[first] = rise
+    if -rise > out[first + 1]:
+        out[first + 1] = -rise

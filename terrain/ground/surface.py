@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
@@ -225,6 +226,7 @@ def _coarser_window(row0: int, col0: int, rows: int, cols: int) -> tuple[int, in
     return top, left, (row0 + rows) // 2 - top + 1, (col0 + cols) // 2 - left + 1
 
 
+@cached("process", MIB, size_of=lambda _: 512)
 def step_at_anchor_m(world: World, grid: Grid) -> float:
     """Ground distance between neighbouring nodes at the anchor, metres: the root of a quad's area.
 
