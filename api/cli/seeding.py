@@ -133,8 +133,6 @@ def _runner(run: PlannedRun, shards: str, options: SeedOptions) -> Callable[[], 
 def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: SeedOptions) -> None:
     """Print what would run, and why."""
     look_for_lost_shards(table, store)
-    if options.retry_failed:
-        table.retry(table.failed())
     measured = table.measured()
     rows: list[dict[str, Any]] = []
     for sun, zoom, why, count, seconds in table.outlook():
@@ -145,7 +143,7 @@ def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: Seed
             "measured": zoom in measured,
         })  # fmt: skip
     workers = options.workers or cores()
-    total = {name: sum(row[name] for row in rows) for name in ("tasks", "seconds", "bytes")}
+    total = {name: sum(float(row[name]) for row in rows) for name in ("tasks", "seconds", "bytes")}
     counts = table.counts()
     if options.as_json:
         typer.echo(json.dumps({"rows": rows, "total": total, "workers": workers, "states": counts}, indent=2))
@@ -163,7 +161,7 @@ def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: Seed
         console.print(shown)
     wall = "" if options.scheduler else f", {format_duration(1000.0 * total['seconds'] / workers)} with {workers} workers"
     typer.echo(
-        f"{total['tasks']} tasks would run: {format_duration(1000.0 * total['seconds'])} of worker time{wall}, "
+        f"{total['tasks']:.0f} tasks would run: {format_duration(1000.0 * total['seconds'])} of worker time{wall}, "
         f"about {_format_bytes(total['bytes'])}. Done: {counts.get('done', 0)}, failed: {counts.get('failed', 0)}."
     )
 

@@ -43,11 +43,14 @@ class Begun:
 
 @dataclass(frozen=True)
 class NotDrawn:
-    """A task that was not drawn, and why: it ``failed``, its worker ``died``, or the run is ``stopped``, whatever the task."""
+    """A task that was not drawn, and why: it ``failed``, its worker ``died``, the run is ``stopped``, whatever the task, or a
+    ``worker`` of a cluster is ``refused``.
+    """
 
     id: int
     error: str
-    how: Literal["failed", "died", "stopped"]
+    how: Literal["failed", "died", "stopped", "refused"]
+    worker: str = ""
 
 
 @dataclass(frozen=True)
