@@ -53,7 +53,7 @@ class DaskCluster:
         self._workers: list[str] = []
         self._looked, self._seen = -LOOK_EVERY_S, clock.monotonic()
         try:
-            self._client: Any = distributed.Client(address, timeout=10.0, set_as_default=False)
+            self._client: Any = self._distributed.Client(address, timeout=10.0, set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError("--scheduler", address, f"the address of a Dask scheduler that answers ({_short(error)})") from None
 
@@ -81,9 +81,9 @@ class DaskCluster:
             except Empty:
                 self._look_for_workers()
                 continue
-            task, current = self._running.get(number, (None, None))
-            if task is None or future is not current:
+            if number not in self._running or self._running[number][1] is not future:
                 continue
+            task = self._running[number][0]
             if future.cancelled() or future.status == "lost":
                 self._reach_again()
                 continue

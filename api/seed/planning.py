@@ -28,7 +28,6 @@ from selector.kept_probes import load_probes, probes_folder
 from shadows.plan import Plan
 from shadows.render import RENDERER_VERSION
 from terrain.errors import InputError, NoOpenGLError, RenderError, UnsupportedError
-from terrain.gbuffer.covered_nodes import is_bare
 from terrain.geo.grid import tile_grid
 from terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from terrain.gl import device as gl
@@ -130,10 +129,11 @@ def _planned(
     say("Reading the ground")
     ground = ReachedGround(scene, ground_of(loaded, scene, table))
     encoded, overrides = LAYERS[request.layer].encoding is not None, request.overrides
-    shades_by_height = request.layer == "color" or encoded or not is_bare(scene)
     settings = digest_of_json(
-        [level_digest(loaded, scene, table, shades_by_height), request.layer, request.format, overrides.model_dump(mode="json")]
+        [level_digest(loaded, scene, table), request.layer, request.format, overrides.model_dump(mode="json")]
     )
+    # Colours are stretched over the level's heights, and lines towards the sun are placed at their middle.
+    drawn_by, heights = digest_of_json([RENDERER_VERSION, renderer]), digest_of_json(scene.height_range_m)
     planner = _Planner(table, scene, LevelKey(**{**request.level.model_dump(), "version": version}), overrides.for_selector())
     tasks, plans, measured = [], [], table.measured()
     for number, (sun, name) in enumerate(zip(request.suns, suns, strict=True)):
@@ -149,7 +149,7 @@ def _planned(
             shares = here.shares_on_data(grid, blocks)
             whole_s = _seconds_of_whole(plan, zoom, measured)
             for (x, y), digest, share in zip(blocks, digests, shares, strict=True):
-                parts = KeyParts(digest_of_json([RENDERER_VERSION, renderer]), settings, plan_digest(plan), digest.hex())
+                parts = KeyParts(drawn_by, settings, plan_digest(plan), heights, digest.hex())
                 expected_s = whole_s * max(share, EMPTY_SHARE)
                 tasks.append(PlannedTask(name, zoom, x, y, first_tile_of_block(zoom, x, y), parts, expected_s))
     table.want(tasks)
