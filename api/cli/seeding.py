@@ -24,8 +24,8 @@ from api.seed.drawing import Drawn, check_seeded_format
 from api.seed.local_pool import LocalPool, Runner
 from api.seed.planning import PlannedRun, SeedRequest, plan_run
 from api.seed.publishing import check_output
-from api.seed.running import Progress as Done
-from api.seed.seeding import Seeded, look_for_lost_shards, seed
+from api.seed.running import TaskEnd
+from api.seed.seeding import Seeded, draw_and_publish, look_for_lost_shards
 from api.seed.storage import ShardStore, store_at
 from api.seed.task_table import TaskTable
 from api.settings import cores
@@ -94,7 +94,7 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
             _outlook(table, run, store, options)
             return
         start = _runner(run, shards, options)
-        done = seed(
+        done = draw_and_publish(
             table, run, store, shards, outputs, start, shown.note, options.max_tasks, options.retry_failed
         )  # fmt: skip
         shown.end(done, table)
@@ -197,7 +197,7 @@ class _Shown:
         if self._console.is_terminal:
             self._console.print(text, style="dim")
 
-    def note(self, done: Done) -> None:
+    def note(self, done: TaskEnd) -> None:
         """A task has ended."""
         task, outcome = done.task, done.outcome
         place = f"zoom {task.zoom} block {task.x},{task.y}"
@@ -234,7 +234,7 @@ class _Shown:
         self._file.write(json.dumps(said) + "\n")
         self._file.flush()
 
-    def _line(self, text: str, done: Done) -> None:
+    def _line(self, text: str, done: TaskEnd) -> None:
         if self._quiet:
             return
         if not self._console.is_terminal:

@@ -25,7 +25,7 @@ from terrain.errors import GraphicsError, InputError, RenderError
 NOBODY_S = 120.0
 """How long it is waited for a scheduler that has gone, and for the first worker: they may be started anew."""
 
-LOOK_EVERY_S = 1.0
+WORKERS_EVERY_S = 1.0
 """How often it is looked which workers there are."""
 
 AHEAD = 2
@@ -51,7 +51,7 @@ class DaskCluster:
         self._news: Queue[tuple[int, Any]] = Queue()
         self._refused: dict[str, str] = {}
         self._workers: list[str] = []
-        self._looked, self._seen = -LOOK_EVERY_S, clock.monotonic()
+        self._looked, self._seen = -WORKERS_EVERY_S, clock.monotonic()
         try:
             self._client: Any = self._distributed.Client(address, timeout=10.0, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -77,7 +77,7 @@ class DaskCluster:
         until = clock.monotonic() + timeout_s
         while not outcomes and (left := until - clock.monotonic()) > 0.0:
             try:
-                number, future = self._news.get(timeout=min(left, LOOK_EVERY_S))
+                number, future = self._news.get(timeout=min(left, WORKERS_EVERY_S))
             except Empty:
                 self._look_for_workers()
                 continue
@@ -117,7 +117,7 @@ class DaskCluster:
     def _look_for_workers(self) -> None:
         """Find which workers there are. Raises ``RenderError`` where there has been none for long."""
         now = clock.monotonic()
-        if now - self._looked < LOOK_EVERY_S:
+        if now - self._looked < WORKERS_EVERY_S:
             return
         self._looked = now
         if self._client.status != "running":

@@ -16,15 +16,15 @@ from terrain.level.level import LoadedLevel
 from terrain.level.linked_files import files_beside, is_remote, linked_files
 from terrain.scene import Scene
 
-NO_PICTURE = {"title", "attribution", "views", "shadows"}
-"""Keys of a level by which no tile becomes another one; what ``shadows`` says is in the plans."""
+NO_PICTURE = {"title", "attribution", "views", "shadows", "sun"}
+"""Keys of a level by which no tile becomes another one; what ``shadows`` says is in the plans, and a sun is told by itself."""
 
 READ_BYTES = 2**20
 
 
 def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> str:
     """The digest of all that a level says of its tiles but the ground's heights, for a scene of it. Raises ``OSError``."""
-    said = scene.loaded.level.model_dump(mode="json", exclude=NO_PICTURE)
+    said = loaded.level.model_dump(mode="json", exclude=NO_PICTURE)
     terrain = loaded.level.terrain.source
     contents = {name: contents_digest(loaded.resolve(name), table) for name in _names(loaded) if name != terrain}
     if terrain is not None:

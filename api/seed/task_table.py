@@ -18,8 +18,6 @@ from terrain.errors import InputError, RenderError
 FORMAT = 1
 """Of the table: one that is of another is refused."""
 
-WAITING, DONE, FAILED = "waiting", "done", "failed"
-
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value BLOB) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS files (path TEXT PRIMARY KEY, stamp TEXT, digest TEXT) WITHOUT ROWID;

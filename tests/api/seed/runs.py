@@ -14,8 +14,8 @@ from api.seed.drawing import Drawer, Drawn
 from api.seed.planning import PlannedRun, SeedRequest, plan_run
 from api.seed.render_process import NotDrawn
 from api.seed.run_spec import Task
-from api.seed.running import Progress
-from api.seed.seeding import Seeded, seed
+from api.seed.running import TaskEnd
+from api.seed.seeding import Seeded, draw_and_publish
 from api.seed.storage import FolderStore
 from api.seed.task_table import TaskTable
 from api.workers.jobs import RequestedSettings
@@ -101,12 +101,12 @@ class Run:
                 return runners[-1]
 
             outputs = {name: self.output_of(number) for number, name in enumerate(run.sun_names)}
-            done = seed(table, run, self.store, str(self.work / "shards"), outputs, start, self.on_progress, **options)
+            done = draw_and_publish(table, run, self.store, str(self.work / "shards"), outputs, start, self.on_progress, **options)
         return done, [task for runner in runners for task in runner.drawn]
 
     def output_of(self, number: int) -> Path:
         """Of a run under several suns, one for each."""
         return self.output if len(self.suns) == 1 else self.output.with_stem(f"{self.output.stem}-{number}")
 
-    def on_progress(self, progress: Progress) -> None:
+    def on_progress(self, progress: TaskEnd) -> None:
         """Nothing is shown."""
