@@ -240,15 +240,16 @@ def _copy(file: BinaryIO, number: int, index: ShardIndex, shard: bytes, stored: 
     expected = ends[-1] if ends else 0
     if len(shard) != expected:
         raise BrokenShardError(f"shard {number} has {len(shard)} bytes; its index says {expected}", number)
-    view, begin = memoryview(shard), 0
-    for tile_id, digest, keep, end in zip(index.ids.tolist(), index.digests, stored.tolist(), ends, strict=True):
-        tile = view[begin:end]
-        if _digest(tile) != digest.tobytes():
-            z, x, y = tileid_to_zxy(tile_id)
+    view, begins, digests = memoryview(shard), [0, *ends[:-1]], index.digests.tobytes()
+    for row, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        if _digest(view[begin:end]) != digests[row * DIGEST_BYTES : (row + 1) * DIGEST_BYTES]:
+            z, x, y = tileid_to_zxy(int(index.ids[row]))
             raise BrokenShardError(f"shard {number}: the bytes of tile {z}/{x}/{y} are not those that were written", number)
-        if keep:
-            file.write(tile)
-        begin = end
+    if stored.all():
+        file.write(shard)
+        return
+    for row in np.flatnonzero(stored).tolist():
+        file.write(view[begins[row] : ends[row]])
 
 
 def _digest(tile: bytes | memoryview) -> bytes:
