@@ -15,6 +15,7 @@ from api.errors import ArchiveError, NotServedError
 from api.http.archive_file import ArchiveFile, changed
 from api.http.level_checks import LevelCheck
 from api.http.served_levels import ServedLevel
+from api.layers import LAYERS
 from terrain.errors import InputError, SkuggaError, printable
 
 log = logging.getLogger("skugga")
@@ -38,6 +39,8 @@ class LevelArchives:
         for archive in files.values():
             said = archive.of_skugga
             layer, format, tms, query = (str(said.get(key, "")) for key in ("layer", "format", "tms", "query"))
+            if layer in LAYERS and LAYERS[layer].encoding is not None:
+                query = ""  # heights hang on no light
             if format == archive.format:
                 by_kind.setdefault((layer, format, tms, in_utc(query)), archive)
         return cls(files, by_kind, " ".join(archive.version for archive in files.values()))

@@ -180,7 +180,7 @@ class Level(Model):
     views: dict[str, ViewSpec] = {"map": MapSpec(kind="map")}
     shadows: LevelShadows = LevelShadows()
     effects: Literal["auto"] | dict[EffectName, Literal["auto", "on", "off"]] = "auto"
-    archive: Annotated[str, Field(min_length=1)] | tuple[str, ...] = ()  # of tiles that were drawn ahead: what serves the level may answer with them
+    archive: Annotated[str, Field(min_length=1)] | tuple[str, ...] = ()  # of tiles that were drawn ahead, for what serves the level
 
     @field_validator("lights")
     @classmethod
@@ -269,7 +269,7 @@ class LoadedLevel(BaseModel):
 
     @property
     def archives(self) -> tuple[Path, ...]:
-        """The archives of tiles that the level names, relative to nothing. They are no ``sources``: no picture is made from them."""
+        """The archives of tiles that the level names, relative to nothing. No picture hangs on them: they are no ``sources``."""
         named = self.level.archive
         return tuple(Path(self.resolve(name)) for name in ((named,) if isinstance(named, str) else named))
 

@@ -117,8 +117,8 @@ def running(app: FastAPI) -> Iterator[Client]:
 
 @pytest.fixture(scope="session")
 def client(folder: Path, hills_level: Path) -> Iterator[Client]:
-    """A service with one real render process: ``hills``, ``timed`` (its sun by a time) and ``site`` (a flat world); and an archive, ``shadows``,
-    of one tile.
+    """A service with one real render process: ``hills``, ``timed`` (its sun by a time) and ``site`` (a flat world);
+    and an archive, ``shadows``, of one tile.
     """
     timed = write_level(folder, "timed", sun={"time": "2024-06-21T18:00:00+02:00"})
     site = write_level(folder, "site", ENGINEERING)
