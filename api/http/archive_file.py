@@ -35,10 +35,10 @@ TILE_FORMATS = {
 }
 """Ending of an address and media type by the type that a header says."""
 
-FORMATS = {ending: media_type for ending, media_type in TILE_FORMATS.values()}
+ARCHIVED_MEDIA_TYPES = {ending: media_type for ending, media_type in TILE_FORMATS.values()}
 
-HEADER_BYTES = 127
-DEEPEST = 3
+_HEADER_BYTES = 127
+DIRECTORY_DEPTH = 3
 """Directories under one another, the root among them: readers go no deeper."""
 
 MOST_UNPACKED = 64 * MIB
@@ -115,7 +115,7 @@ class ArchiveFile:
             return None
         tile_id = zxy_to_tileid(zoom, x, y)
         directory = self._root
-        for _ in range(DEEPEST):
+        for _ in range(DIRECTORY_DEPTH):
             row = int(np.searchsorted(directory.ids, np.uint64(tile_id), side="right")) - 1
             if row < 0:
                 return None
@@ -129,19 +129,19 @@ class ArchiveFile:
     def _first_tile(self) -> tuple[int, int, int]:
         """Zoom, column and row of a tile that it has."""
         directory = self._root
-        for _ in range(DEEPEST):
+        for _ in range(DIRECTORY_DEPTH):
             if directory.runs[0]:
                 return tileid_to_zxy(int(directory.ids[0]))
             directory = self._leaf(int(directory.offsets[0]), int(directory.lengths[0]))
         raise self._broken("leaf directories under leaf directories")
 
     def _header(self) -> HeaderDict:
-        raw = os.pread(self._file, HEADER_BYTES, 0)
+        raw = os.pread(self._file, _HEADER_BYTES, 0)
         if raw[:7] != b"PMTiles":
             raise self._broken("not a PMTiles archive" if raw[:2] != b"PM" else "a PMTiles archive of an earlier version")
         if raw[7:8] not in (b"", b"\x03"):
             raise self._broken(f"a PMTiles archive of version {raw[7]}")
-        if len(raw) < HEADER_BYTES:
+        if len(raw) < _HEADER_BYTES:
             raise self._broken("cut short: it ends in its header")
         try:
             header = deserialize_header(raw)

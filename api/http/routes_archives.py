@@ -12,11 +12,11 @@ from starlette.concurrency import run_in_threadpool
 
 from api.errors import ArchiveError, NotServedError
 from api.http.answers import OWN_SUN_S, base_url, cache_headers, is_fresh, json_answer, tag_of
-from api.http.archive_file import FORMATS, ArchiveFile
+from api.http.archive_file import ARCHIVED_MEDIA_TYPES, ArchiveFile
 from api.http.documented import LEVEL_ERRORS, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
 from api.http.parameters import allow_only
 from api.http.routes_levels import JSON_MEDIA, TILEJSON_ENCODINGS
-from api.http.served_archives import facts_of
+from api.http.served_archives import archive_facts
 from api.http.service import TheService
 from api.layers import LAYERS
 
@@ -41,7 +41,7 @@ async def archives(request: Request, service: TheService) -> Response:
     found = []
     for name in service.archives.names():
         try:
-            found.append(facts_of(name, await service.archives.current(name)))
+            found.append(archive_facts(name, await service.archives.current(name)))
         except ArchiveError:  # the log tells
             continue
     return json_answer(request, found)
@@ -56,7 +56,7 @@ async def archives(request: Request, service: TheService) -> Response:
 async def archive_tilejson(request: Request, service: TheService, archive: ArchivePath) -> Response:
     """TileJSON 3.0.0 for map clients. Layers of heights have their `encoding`; `skugga` is what the archive itself says there."""
     served = await service.archives.current(archive)
-    facts = facts_of(archive, served)
+    facts = archive_facts(archive, served)
     west, south, east, north = served.bounds
     address = f"{base_url(request, service.settings.public_url)}/archives/{quote(archive)}"
     layer = LAYERS.get(str(facts["layer"]))
@@ -84,7 +84,7 @@ async def archive_tilejson(request: Request, service: TheService, archive: Archi
     summary="A tile of an archive",
     response_class=Response,
     responses={
-        **file_docs("The tile as it lies in the archive.", FORMATS.values()),
+        **file_docs("The tile as it lies in the archive.", ARCHIVED_MEDIA_TYPES.values()),
         204: {"description": "The archive has no such tile (404 where `SKUGGA_EMPTY_TILE` is so)."},
     },
 )

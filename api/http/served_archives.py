@@ -166,7 +166,7 @@ class ServedArchives:
             log.error("archive %s%s", error, then)
 
 
-def facts_of(name: str, archive: ArchiveFile) -> dict[str, Any]:
+def archive_facts(name: str, archive: ArchiveFile) -> dict[str, Any]:
     """What is said of an archive: by its metadata where they say it."""
     said = archive.metadata
     return {
