@@ -94,7 +94,8 @@ def serve(
     port: Annotated[int | None, typer.Option(help="Port to listen on.", min=0, max=65535)] = None,
     workers: Annotated[int | None, typer.Option(help="Render processes.", min=1)] = None,
 ) -> None:
-    """Serve levels as map tiles over HTTP, with a viewer on /."""
+    """Serve levels as map tiles over HTTP, with a viewer on /; and archives of tiles (.pmtiles) as they are."""
+    from api.http.archive_file import ARCHIVE_SUFFIX
     from api.http.server import serve as run
     from api.settings import load_settings
 
@@ -103,9 +104,12 @@ def serve(
     if not settings.remote_sources:
         forbid_remote_reads()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the service ends in an order of its own
+    archives = [each for each in levels if each.path.suffix.lower() == ARCHIVE_SUFFIX]
+    for option in (option for each in archives for option in each.options):
+        raise InputError(f"--{option}", str(levels[0].path), "a raster beside it: an archive is served as it is")
     if not levels and settings.levels is None:
         levels = [LevelSource(path=path) for path in bundled_levels()]
-    run(settings, levels)
+    run(settings, [each for each in levels if each not in archives], [each.path for each in archives])
 
 
 @app.command()

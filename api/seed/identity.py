@@ -16,7 +16,7 @@ from terrain.level.level import LoadedLevel
 from terrain.level.linked_files import files_beside, is_remote, linked_files
 from terrain.scene import Scene
 
-NO_PICTURE = {"title", "attribution", "views", "shadows", "sun"}
+NO_PICTURE = {"title", "attribution", "views", "shadows", "sun", "archive"}
 """Keys of a level by which no tile becomes another one; what ``shadows`` says is in the plans, and a sun is told by itself."""
 
 READ_BYTES = 2**20

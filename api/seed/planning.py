@@ -162,7 +162,7 @@ class _Planner:
 
     def __init__(self, table: TaskTable, loaded: LoadedLevel, level: LevelKey, overrides: dict[str, Any]) -> None:
         self._table, self._level, self._overrides = table, level, overrides
-        said = loaded.level.model_dump(mode="json", exclude={"title", "attribution", "views"})
+        said = loaded.level.model_dump(mode="json", exclude={"title", "attribution", "views", "archive"})
         self._asked = digest_of_json([said, repr(sorted(overrides.items()))])
         self._basis: PlanBasis | None = None
 
