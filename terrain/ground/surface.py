@@ -100,13 +100,8 @@ class Surface:
     stride: int = field(init=False)
 
     def __post_init__(self) -> None:
-        step_m = step_at_anchor_m(self.world, self.grid)
-        cell_m = self.elevation.cell_size_m(self.world.metres_per_unit)
-        ratio, detail_m = step_m / cell_m, max(step_m, self.elevation.resolution_m or 0.0)
-        stride = int(2 ** np.clip(np.floor(np.log2(EXACT_SPACING_M / step_m)), 0, np.log2(EXACT_STRIDE)))
-        for name, value in {
-            "step_m": step_m, "level": max(int(np.rint(np.log2(detail_m / cell_m))), 0), "cells_per_step": ratio, "stride": stride,
-        }.items():  # fmt: skip
+        steps = _steps_of(self.world, self.elevation, self.grid)
+        for name, value in zip(("step_m", "level", "cells_per_step", "stride"), steps, strict=True):
             object.__setattr__(self, name, value)
 
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> SurfaceWindow:
@@ -224,6 +219,15 @@ def _coarser_window(row0: int, col0: int, rows: int, cols: int) -> tuple[int, in
     """The window of the coarser grid, first row and column and size, that holds the nodes round a window's."""
     top, left = row0 // 2, col0 // 2
     return top, left, (row0 + rows) // 2 - top + 1, (col0 + cols) // 2 - left + 1
+
+
+@cached("scene", MIB, size_of=lambda _: 512)
+def _steps_of(world: World, elevation: Elevation, grid: Grid) -> tuple[float, int, float, int]:
+    """``step_m``, ``level``, ``cells_per_step`` and ``stride`` of a surface, which is made anew for every patch of ground."""
+    step_m, cell_m = step_at_anchor_m(world, grid), elevation.cell_size_m(world.metres_per_unit)
+    detail_m = max(step_m, elevation.resolution_m or 0.0)
+    stride = int(2 ** np.clip(np.floor(np.log2(EXACT_SPACING_M / step_m)), 0, np.log2(EXACT_STRIDE)))
+    return step_m, max(int(np.rint(np.log2(detail_m / cell_m))), 0), step_m / cell_m, stride
 
 
 @cached("process", MIB, size_of=lambda _: 512)
