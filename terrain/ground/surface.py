@@ -441,20 +441,22 @@ def between_columns(exact, first_col, stride, col0, cols):
 
 
 @compiled
-def between_rows(a, b, c, d, e, f, g, h, share, height, out):
-    """Coordinates (cols,) at the ends of heights in a row between exact ones, of which it takes four: of the feet, and by how much
-    these change per metre.
-    """
-    w0, w1, w2, w3 = cubic_weights(share)
-    for j in range(height.size):
-        foot = w0 * a[j] + w1 * b[j] + w2 * c[j] + w3 * d[j]
-        slope = w0 * e[j] + w1 * f[j] + w2 * g[j] + w3 * h[j]
-        out[j] = foot + np.float64(height[j]) * slope
+def between_rows(exact, m, share, out):
+    """Values (cols,) of a row after the exact row ``m`` of some (rows, cols), by a share of the way to the next."""
+    here = exact[m]
+    if share == 0.0:  # an exact row
+        for j in range(out.size):
+            out[j] = here[j]
+    else:
+        w0, w1, w2, w3 = cubic_weights(share)
+        before, after, beyond = exact[m - 1], exact[m + 1], exact[m + 2]
+        for j in range(out.size):
+            out[j] = w0 * before[j] + w1 * here[j] + w2 * after[j] + w3 * beyond[j]
 
 
 @compiled
-def on_row(foot, slope, height, out):
-    """The same in an exact row."""
+def at_height(foot, slope, height, out):
+    """Coordinates (cols,) at the ends of heights, of those of their feet and by how much these change per metre."""
     for j in range(height.size):
         out[j] = foot[j] + np.float64(height[j]) * slope[j]
 
