@@ -257,13 +257,14 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
         for w in windows
     ]  # fmt: skip
     begin = max(min(first, default=rows) - 1, 0)
+    filled = 0 if soft else begin  # nobody looks before it, but for a sun that is tilted as a whole
 
     def turned(put: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
-        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)))
+        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)), filled)
         own = rays.turn.back(inside)
         if windows:
             put(detail, windows, [own[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
-        return close_border(with_border)
+        return close_border(with_border, filled)
 
     sheet = TurnedGrid(turned(rays.put_levels), *rays.places(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
     towards_m = turned(rays.put_towards) if soft else NO_LEVELS

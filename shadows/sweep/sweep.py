@@ -227,8 +227,9 @@ def _window_of(rays: SunRays, ground: GroundWindow, view: MapView) -> tuple[tupl
 
 
 def _asked_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> _Asked:
-    none, every = np.zeros(0), np.ones((nodes.view.rows, nodes.view.cols), np.bool_)
-    return _Asked(_t_range(rays, nodes), every, *_window_of(rays, ground, nodes.view), ~every, none, none, none, none, none)
+    none, shape = np.zeros(0), (nodes.view.rows, nodes.view.cols)
+    every, no = (np.broadcast_to(np.bool_(value), shape) for value in (True, False))
+    return _Asked(_t_range(rays, nodes), every, *_window_of(rays, ground, nodes.view), no, none, none, none, none, none)
 
 
 def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Asked:
@@ -295,7 +296,8 @@ def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Asked
     _, _, others_above_m = _swept(grounds, targets, lines, 0.0, shade)
     above_m = np.zeros(targets.nodes.shape, np.float32)
     if targets.nodes.any():
-        above_m[:] = rays.turn.back((shade - level)[:, 1:-1])[targets.window]
+        highest, own = (rays.turn.back(each[:, 1:-1])[targets.window] for each in (shade, level))
+        above_m[:] = highest - own
     above_m[targets.others] = others_above_m
     return height_m + np.fmax(above_m, 0.0) / np.float32(rays.rise)  # rounding may put a point beside the ground's rim: NaN
 

@@ -17,8 +17,17 @@ from terrain.gbuffer.geometry import normal_reach
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame, World
 from terrain.ground.elevation import Elevation
-from terrain.ground.sky_view_factor import SkyView, cell_in_plane, hidden_on, in_plane, pyramid_level
-from terrain.ground.surface import Surface, between_columns, between_rows, map_pixel_m, on_row
+from terrain.ground.sky_view_factor import (
+    STEREOGRAPHIC,
+    SkyView,
+    cell_in_square,
+    corners_of_square,
+    hidden_on_row,
+    in_plane,
+    pyramid_level,
+    square_of_lattice,
+)
+from terrain.ground.surface import Surface, at_height, between_columns, between_rows, map_pixel_m
 from terrain.scene import Scene
 
 
@@ -114,53 +123,120 @@ def _smooth_ground(
     side = 2 * reach + 1
     rows, cols = height.shape[0] - 2 * reach, height.shape[1] - 2 * reach
     points = np.empty((side, 3, height.shape[1]))  # of the rows round the one that is worked on
+    whole = np.empty(side, np.bool_)  # which of these have all their points
     normal, share = np.zeros((rows, cols, 3), np.float32), np.zeros((rows, cols), np.float32)
     there = np.empty((rows, cols), np.bool_)
+    own_normal, place = np.empty((3, cols), np.float32), np.empty((2, cols))  # of the row that is worked on
     complete = True
     for i in range(-reach, rows + reach):
-        _points_of_row(across, first_row, stride, row0 + reach + i, height[i + reach], points[(i + reach) % side])
+        turn = (i + reach) % side
+        _points_of_row(across, first_row, stride, row0 + reach + i, height[i + reach], points[turn])
+        whole[turn] = _all_known(points[turn, 2], height[i + reach])
         at = i - reach
         if at < 0:
             continue
         here, above, below = points[(at + reach) % side], points[at % side], points[(at + 2 * reach) % side]
-        _known_in_row(height, shown, at + reach, reach, there[at])
-        if not _normals_of_row(above, here, below, reach, there[at], normal[at]):
-            complete = False
-        for j in range(cols):
-            if not there[at, j]:
-                continue
-            px, py, pz = here[0, j + reach], here[1, j + reach], here[2, j + reach]
-            x, y, z = px - centre[0], py - centre[1], pz - centre[2]
-            n = normal[at, j]
-            share[at, j] = 0.5 + 0.5 * (n[0] * x + n[1] * y + n[2] * z) / np.sqrt(x * x + y * y + z * z)
+        known = True
+        for k in range(side):
+            known = known and whole[k]
+        if known:
+            there[at] = shown[at + reach, reach : reach + cols]
+            row_complete = _normals_inside(above, here, below, reach, there[at], own_normal)
+        else:
+            _known_in_row(height, shown, at + reach, reach, there[at])
+            row_complete = _normals_of_row(above, here, below, reach, there[at], own_normal)
+        complete = complete and row_complete
+        _put_normals(own_normal, there[at], normal[at])
+        x, y, z = here[0, reach : reach + cols], here[1, reach : reach + cols], here[2, reach : reach + cols]
+        _open_sky_of_row(x, y, z, own_normal, (centre[0], centre[1], centre[2]), share[at])
         if lattice is not None:
-            _hide_row(
-                here, height[at + reach], there[at], reach, share[at], lattice, frame_from_earth, origin, plane, axes, first, step,
-                values, level, cells_a_node,
-            )  # fmt: skip
+            own_height = height[at + reach, reach : reach + cols]
+            _places_of_row(x, y, z, own_height, frame_from_earth, origin, plane, axes, first, step, place)
+            _cells_of_row(place, first, step, lattice, cells_a_node)
+            _hide_row(place[0], place[1], values, level, share[at])
     return normal, share, there, complete
 
 
 @compiled
-def _hide_row(
-    here, height, there, reach, share, lattice, frame_from_earth, origin, plane, axes, first, step, values, level, cells_a_node
-):
-    """Take from a row's shares of the sky what ground hides there."""
+def _all_known(z, height):
+    """Whether a row has all its points."""
+    missing = 0
+    for j in range(z.size):
+        missing += 0 if np.isfinite(z[j]) & np.isfinite(height[j]) else 1
+    return missing == 0
+
+
+# The next loops are written so that they compile to vector instructions: rows lie side by side, slices have their lengths, few arrays
+# come together in one, and what does not change in one is a number.
+
+
+@compiled
+def _open_sky_of_row(px, py, pz, normal, centre, share):
+    """What slopes leave of the sky by themselves."""
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    for j in range(share.size):
+        x, y, z = px[j] - centre[0], py[j] - centre[1], pz[j] - centre[2]
+        share[j] = 0.5 + 0.5 * (nx[j] * x + ny[j] * y + nz[j] * z) / np.sqrt(x * x + y * y + z * z)
+
+
+@compiled
+def _places_of_row(px, py, pz, height, frame_from_earth, origin, plane, axes, first, step, place):
+    """Where points lie in the plane of a ``CellFinder``."""
     m00, m10, m20 = frame_from_earth[0, 0], frame_from_earth[1, 0], frame_from_earth[2, 0]
     m01, m11, m21 = frame_from_earth[0, 1], frame_from_earth[1, 1], frame_from_earth[2, 1]
     m02, m12, m22 = frame_from_earth[0, 2], frame_from_earth[1, 2], frame_from_earth[2, 2]
-    for j in range(there.size):
-        if not there[j]:
-            continue
-        px, py, pz = here[0, j + reach], here[1, j + reach], here[2, j + reach]
-        x = m00 * px + m10 * py + m20 * pz + origin[0]
-        y = m01 * px + m11 * py + m21 * pz + origin[1]
-        z = m02 * px + m12 * py + m22 * pz + origin[2]
-        x, y = in_plane(x, y, z, height[j + reach], plane, axes, first, step)
-        row, col = cell_in_plane(x, y, first, step, lattice)
-        row, col = (row + 0.5) / cells_a_node - 0.5, (col + 0.5) / cells_a_node - 0.5
-        if np.isfinite(row) and np.isfinite(col):
-            share[j] *= 1.0 - hidden_on(values, level, row, col)
+    ox, oy, oz = origin[0], origin[1], origin[2]
+    own = (
+        (axes[0, 0], axes[0, 1], axes[0, 2]), (axes[1, 0], axes[1, 1], axes[1, 2]), (axes[2, 0], axes[2, 1], axes[2, 2]),
+    )  # fmt: skip
+    begin, by = (first[0], first[1]), (step[0], step[1])
+    out_x, out_y = place[0], place[1]
+    if plane == STEREOGRAPHIC:
+        for j in range(height.size):
+            x = m00 * px[j] + m10 * py[j] + m20 * pz[j] + ox
+            y = m01 * px[j] + m11 * py[j] + m21 * pz[j] + oy
+            z = m02 * px[j] + m12 * py[j] + m22 * pz[j] + oz
+            out_x[j], out_y[j] = in_plane(x, y, z, height[j], STEREOGRAPHIC, own, begin, by)
+    else:
+        for j in range(height.size):
+            x = m00 * px[j] + m10 * py[j] + m20 * pz[j] + ox
+            y = m01 * px[j] + m11 * py[j] + m21 * pz[j] + oy
+            z = m02 * px[j] + m12 * py[j] + m22 * pz[j] + oz
+            out_x[j], out_y[j] = in_plane(x, y, z, height[j], plane, own, begin, by)
+
+
+@compiled
+def _cells_of_row(place, first, step, lattice, cells_a_node):
+    """Take places in a finder's plane to rows and columns of the grid of what is hidden: runs of them lie in one square."""
+    x, y, begin, by = place[0], place[1], (first[0], first[1]), (step[0], step[1])
+    rows, cols = lattice.shape[0], lattice.shape[1]
+    square_j, square_i = np.empty(x.size, np.int32), np.empty(x.size, np.int32)
+    for j in range(x.size):
+        x[j], y[j], square_j[j], square_i[j] = square_of_lattice(x[j], y[j], begin, by, rows, cols)
+    start = 0
+    while start < x.size:
+        end, at_j, at_i = start + 1, square_j[start], square_i[start]
+        while end < x.size and square_j[end] == at_j and square_i[end] == at_i:
+            end += 1
+        _cells_of_run(x[start:end], y[start:end], corners_of_square(lattice, at_i, at_j), at_j, at_i, cells_a_node)
+        start = end
+
+
+@compiled
+def _cells_of_run(across, down, corners, at_j, at_i, cells_a_node):
+    for j in range(across.size):
+        row, col = cell_in_square(corners, across[j] - at_j, down[j] - at_i)
+        across[j], down[j] = (row + 0.5) / cells_a_node - 0.5, (col + 0.5) / cells_a_node - 0.5
+
+
+@compiled
+def _hide_row(row, col, values, level, share):
+    """Take from a row's shares of the sky what ground hides there."""
+    hidden = np.empty(share.size)
+    hidden_on_row(values, level, row, col, hidden)
+    for j in range(share.size):
+        known = np.isfinite(row[j]) & np.isfinite(col[j])
+        share[j] = share[j] * (1.0 - hidden[j]) if known else share[j]
 
 
 @compiled
@@ -169,15 +245,11 @@ def _points_of_row(across, first_row, stride, row, height, out):
     coarse = row // stride
     weights = (row - coarse * stride) / stride
     m = coarse - first_row
+    feet, slopes = np.empty(height.size), np.empty(height.size)
     for k in range(3):
-        feet, slopes = across[k], across[k + 3]
-        if weights == 0.0:
-            on_row(feet[m], slopes[m], height, out[k])
-        else:
-            between_rows(
-                feet[m - 1], feet[m], feet[m + 1], feet[m + 2], slopes[m - 1], slopes[m], slopes[m + 1], slopes[m + 2],
-                weights, height, out[k],
-            )  # fmt: skip
+        between_rows(across[k], m, weights, feet)
+        between_rows(across[k + 3], m, weights, slopes)
+        at_height(feet, slopes, height, out[k])
 
 
 @compiled
@@ -197,8 +269,51 @@ def _known_in_row(height, shown, row, reach, there):
 
 
 @compiled
+def _normals_inside(above, here, below, reach, there, out):
+    """Smooth unit normals (3, cols) in a row round which nothing is missing; whether all of its ground has one."""
+    cols = there.size
+    west_x, west_y, west_z = here[0, :cols], here[1, :cols], here[2, :cols]
+    east = 2 * reach
+    east_x, east_y, east_z = here[0, east : east + cols], here[1, east : east + cols], here[2, east : east + cols]
+    ax, ay, az = np.empty(cols), np.empty(cols), np.empty(cols)
+    for j in range(cols):
+        ax[j], ay[j], az[j] = east_x[j] - west_x[j], east_y[j] - west_y[j], east_z[j] - west_z[j]
+    north_x, north_y, north_z = above[0, reach : reach + cols], above[1, reach : reach + cols], above[2, reach : reach + cols]
+    south_x, south_y, south_z = below[0, reach : reach + cols], below[1, reach : reach + cols], below[2, reach : reach + cols]
+    bx, by, bz = np.empty(cols), np.empty(cols), np.empty(cols)
+    for j in range(cols):
+        bx[j], by[j], bz[j] = north_x[j] - south_x[j], north_y[j] - south_y[j], north_z[j] - south_z[j]
+    out_x, out_y, out_z = out[0], out[1], out[2]
+    missing = 0
+    for j in range(cols):
+        length, x, y, z = _unit_normal(ax[j], ay[j], az[j], bx[j], by[j], bz[j])
+        out_x[j], out_y[j], out_z[j] = x, y, z
+        missing += 1 if there[j] & (not length > 0.0) else 0
+    return missing == 0
+
+
+@compiled
+def _unit_normal(ax, ay, az, bx, by, bz):
+    """The length of a cross product and its unit vector, which is rounded on the way as that of a geometry buffer is."""
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    length = np.sqrt(x * x + y * y + z * z)
+    x, y, z = np.float64(np.float32(x / length)), np.float64(np.float32(y / length)), np.float64(np.float32(z / length))
+    again = np.sqrt(x * x + y * y + z * z)
+    return length, x / again, y / again, z / again
+
+
+@compiled
+def _put_normals(normal, there, out):
+    """Put a row's normals (3, cols) where there is ground into an array (cols, 3)."""
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    for j in range(there.size):
+        if there[j]:
+            out[j, 0], out[j, 1], out[j, 2] = nx[j], ny[j], nz[j]
+
+
+@compiled
 def _normals_of_row(above, here, below, reach, there, out):
-    """Smooth unit normals (cols, 3) where there is ground, one-sided at its rim; whether all of it has one."""
+    """The same (3, cols) where there is ground, one-sided at its rim."""
     complete = True
     for j in range(there.size):
         if not there[j]:
@@ -209,14 +324,12 @@ def _normals_of_row(above, here, below, reach, there, out):
         east = c if np.isnan(here[2, e]) else e
         north = here if np.isnan(above[2, c]) else above
         south = here if np.isnan(below[2, c]) else below
-        ax, ay, az = here[0, east] - here[0, west], here[1, east] - here[1, west], here[2, east] - here[2, west]
-        bx, by, bz = north[0, c] - south[0, c], north[1, c] - south[1, c], north[2, c] - south[2, c]
-        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        length = np.sqrt(x * x + y * y + z * z)
+        length, x, y, z = _unit_normal(
+            here[0, east] - here[0, west], here[1, east] - here[1, west], here[2, east] - here[2, west],
+            north[0, c] - south[0, c], north[1, c] - south[1, c], north[2, c] - south[2, c],
+        )  # fmt: skip
         if length > 0.0:
-            x, y, z = np.float64(np.float32(x / length)), np.float64(np.float32(y / length)), np.float64(np.float32(z / length))
-            length = np.sqrt(x * x + y * y + z * z)
-            out[j, 0], out[j, 1], out[j, 2] = x / length, y / length, z / length
+            out[0, j], out[1, j], out[2, j] = x, y, z
         else:
             complete = False
     return complete

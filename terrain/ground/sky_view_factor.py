@@ -302,16 +302,16 @@ def _cells(position, height, frame_from_earth, origin, plane, axes, first, step,
 
 @compiled
 def in_plane(x, y, z, height, plane, axes, first, step):
-    """Where in a finder's plane the ground lies below an earth-fixed point with a height."""
+    """Where in a finder's plane the ground lies below an earth-fixed point with a height. What is of the finder may be tuples."""
     if plane == FLAT_PLANE:
         return x, y
     z *= (EQUATOR_M + height) / (EQUATOR_M * (1.0 - ECCENTRICITY_SQUARED) + height)
     if plane == DEGREES:
         longitude, latitude = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.sqrt(x * x + y * y)))
         return longitude - 360.0 * np.rint((longitude - first[0] - 0.5 * step[0]) / 360.0), latitude
-    east = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
-    north = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
-    up = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    east = axes[0][0] * x + axes[0][1] * y + axes[0][2] * z
+    north = axes[1][0] * x + axes[1][1] * y + axes[1][2] * z
+    up = axes[2][0] * x + axes[2][1] * y + axes[2][2] * z
     away = np.sqrt(x * x + y * y + z * z) + up
     return east / away, north / away
 
@@ -319,16 +319,38 @@ def in_plane(x, y, z, height, plane, axes, first, step):
 @compiled
 def cell_in_plane(x, y, first, step, lattice):
     """Row and column in the raster of a place in a finder's plane; NaN where it has none."""
+    across, down, j, i = square_of_lattice(x, y, first, step, lattice.shape[0], lattice.shape[1])
+    return cell_in_square(corners_of_square(lattice, i, j), across - j, down - i)
+
+
+@compiled
+def square_of_lattice(x, y, first, step, rows, cols):
+    """How far across and down a lattice a place in a finder's plane lies, NaN where it has no cell; and the column and row of the
+    square there, or nearest to it.
+    """
     across, down = (x - first[0]) / step[0], (y - first[1]) / step[1]
-    if not (np.isfinite(across) and np.isfinite(down)):
-        return np.nan, np.nan
-    j, i = min(max(int(across), 0), lattice.shape[1] - 2), min(max(int(down), 0), lattice.shape[0] - 2)
-    u, v = across - j, down - i
-    one = lattice[i, j, 0] + u * (lattice[i, j + 1, 0] - lattice[i, j, 0])
-    other = lattice[i + 1, j, 0] + u * (lattice[i + 1, j + 1, 0] - lattice[i + 1, j, 0])
+    known = np.isfinite(across) & np.isfinite(down)
+    j = np.int32(min(max(across if known else 0.0, 0.0), cols - 2.0))
+    i = np.int32(min(max(down if known else 0.0, 0.0), rows - 2.0))
+    return across if known else np.nan, down if known else np.nan, j, i
+
+
+@compiled
+def corners_of_square(lattice, i, j):
+    """Rows and then columns in the raster at the four corners of a lattice's square: from the west on, the upper side first."""
+    return (
+        lattice[i, j, 0], lattice[i, j + 1, 0], lattice[i + 1, j, 0], lattice[i + 1, j + 1, 0],
+        lattice[i, j, 1], lattice[i, j + 1, 1], lattice[i + 1, j, 1], lattice[i + 1, j + 1, 1],
+    )  # fmt: skip
+
+
+@compiled
+def cell_in_square(corners, u, v):
+    """Row and column in the raster at shares of the way across and down a square."""
+    r0, r1, r2, r3, c0, c1, c2, c3 = corners
+    one, other = r0 + u * (r1 - r0), r2 + u * (r3 - r2)
     row = one + v * (other - one)
-    one = lattice[i, j, 1] + u * (lattice[i, j + 1, 1] - lattice[i, j, 1])
-    other = lattice[i + 1, j, 1] + u * (lattice[i + 1, j + 1, 1] - lattice[i + 1, j, 1])
+    one, other = c0 + u * (c1 - c0), c2 + u * (c3 - c2)
     return row, one + v * (other - one)
 
 
@@ -366,7 +388,6 @@ def pyramid_level(table, wide):
 @compiled
 def hidden_on(values, level, row, col):
     """The share of the sky that ground hides at a row and column of the grid ``hidden``, as a mean over what a ``level`` is for."""
-    row, col = row + 0.5, col + 0.5
     hidden = _bilinear(values, level.begin, level.rows, level.cols, row, col, level.scale)
     if level.coarser > 0.0:
         coarse = _bilinear(values, level.next_begin, level.next_rows, level.next_cols, row, col, level.next_scale)
@@ -375,12 +396,51 @@ def hidden_on(values, level, row, col):
 
 
 @compiled
+def hidden_on_row(values, level, row, col, out):
+    """The same at many rows and columns (n,)."""
+    _bilinear_row(values, level.begin, level.rows, level.cols, row, col, level.scale, out)
+    if level.coarser > 0.0:
+        coarse = np.empty(out.size)
+        _bilinear_row(values, level.next_begin, level.next_rows, level.next_cols, row, col, level.next_scale, coarse)
+        for n in range(out.size):
+            out[n] += level.coarser * (coarse[n] - out[n])
+
+
+@compiled
 def _bilinear(values, begin, rows, cols, row, col, scale):
-    """A level's value at a place counted from the corner in the finest level's nodes; the outermost values beyond their middles."""
-    r, c = min(max(row * scale - 0.5, 0.0), rows - 1.0), min(max(col * scale - 0.5, 0.0), cols - 1.0)
-    r0, c0 = int(r), int(c)
+    """A level's value at a place in the finest level's nodes; the outermost values beyond their middles."""
+    r0, c0, down, across = _corner(rows, cols, row, col, scale)
     right, below = min(c0 + 1, cols - 1) - c0, (min(r0 + 1, rows - 1) - r0) * cols
     at = begin + r0 * cols + c0
-    north = values[at] + (c - c0) * (values[at + right] - values[at])
-    south = values[at + below] + (c - c0) * (values[at + below + right] - values[at + below])
-    return north + (r - r0) * (south - north)
+    return _between(values[at], values[at + right], values[at + below], values[at + below + right], down, across)
+
+
+@compiled
+def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
+    """The same at many places (n,). What is looked up stands between loops that compile to vector instructions."""
+    r0, c0 = np.empty(out.size, np.int32), np.empty(out.size, np.int32)
+    down, across = np.empty(out.size), np.empty(out.size)
+    for n in range(out.size):
+        r0[n], c0[n], down[n], across[n] = _corner(rows, cols, row[n], col[n], scale)
+    upper, lower = np.empty((2, out.size), np.float32), np.empty((2, out.size), np.float32)
+    for n in range(out.size):
+        right, below = min(c0[n] + 1, cols - 1) - c0[n], (min(r0[n] + 1, rows - 1) - r0[n]) * cols
+        at = begin + r0[n] * cols + c0[n]
+        upper[0, n], upper[1, n], lower[0, n], lower[1, n] = values[at], values[at + right], values[at + below], values[at + below + right]
+    west, east, south_west, south_east = upper[0], upper[1], lower[0], lower[1]
+    for n in range(out.size):
+        out[n] = _between(west[n], east[n], south_west[n], south_east[n], down[n], across[n])
+
+
+@compiled
+def _corner(rows, cols, row, col, scale):
+    """Row and column of a level's node before a place, and how far beyond it lies; both 0 where the place is none."""
+    r, c = min(max((row + 0.5) * scale - 0.5, 0.0), rows - 1.0), min(max((col + 0.5) * scale - 0.5, 0.0), cols - 1.0)
+    r0, c0 = np.int32(r if r > 0.0 else 0.0), np.int32(c if c > 0.0 else 0.0)
+    return r0, c0, r - r0, c - c0
+
+
+@compiled
+def _between(west, east, south_west, south_east, down, across):
+    north, south = west + across * (east - west), south_west + across * (south_east - south_west)
+    return north + down * (south - north)

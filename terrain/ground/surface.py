@@ -100,13 +100,8 @@ class Surface:
     stride: int = field(init=False)
 
     def __post_init__(self) -> None:
-        step_m = step_at_anchor_m(self.world, self.grid)
-        cell_m = self.elevation.cell_size_m(self.world.metres_per_unit)
-        ratio, detail_m = step_m / cell_m, max(step_m, self.elevation.resolution_m or 0.0)
-        stride = int(2 ** np.clip(np.floor(np.log2(EXACT_SPACING_M / step_m)), 0, np.log2(EXACT_STRIDE)))
-        for name, value in {
-            "step_m": step_m, "level": max(int(np.rint(np.log2(detail_m / cell_m))), 0), "cells_per_step": ratio, "stride": stride,
-        }.items():  # fmt: skip
+        steps = _steps_of(self.world, self.elevation, self.grid)
+        for name, value in zip(("step_m", "level", "cells_per_step", "stride"), steps, strict=True):
             object.__setattr__(self, name, value)
 
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> SurfaceWindow:
@@ -224,6 +219,15 @@ def _coarser_window(row0: int, col0: int, rows: int, cols: int) -> tuple[int, in
     """The window of the coarser grid, first row and column and size, that holds the nodes round a window's."""
     top, left = row0 // 2, col0 // 2
     return top, left, (row0 + rows) // 2 - top + 1, (col0 + cols) // 2 - left + 1
+
+
+@cached("scene", MIB, size_of=lambda _: 512)
+def _steps_of(world: World, elevation: Elevation, grid: Grid) -> tuple[float, int, float, int]:
+    """``step_m``, ``level``, ``cells_per_step`` and ``stride`` of a surface, which is made anew for every patch of ground."""
+    step_m, cell_m = step_at_anchor_m(world, grid), elevation.cell_size_m(world.metres_per_unit)
+    detail_m = max(step_m, elevation.resolution_m or 0.0)
+    stride = int(2 ** np.clip(np.floor(np.log2(EXACT_SPACING_M / step_m)), 0, np.log2(EXACT_STRIDE)))
+    return step_m, max(int(np.rint(np.log2(detail_m / cell_m))), 0), step_m / cell_m, stride
 
 
 @cached("process", MIB, size_of=lambda _: 512)
@@ -437,20 +441,22 @@ def between_columns(exact, first_col, stride, col0, cols):
 
 
 @compiled
-def between_rows(a, b, c, d, e, f, g, h, share, height, out):
-    """Coordinates (cols,) at the ends of heights in a row between exact ones, of which it takes four: of the feet, and by how much
-    these change per metre.
-    """
-    w0, w1, w2, w3 = cubic_weights(share)
-    for j in range(height.size):
-        foot = w0 * a[j] + w1 * b[j] + w2 * c[j] + w3 * d[j]
-        slope = w0 * e[j] + w1 * f[j] + w2 * g[j] + w3 * h[j]
-        out[j] = foot + np.float64(height[j]) * slope
+def between_rows(exact, m, share, out):
+    """Values (cols,) of a row after the exact row ``m`` of some (rows, cols), by a share of the way to the next."""
+    here = exact[m]
+    if share == 0.0:  # an exact row
+        for j in range(out.size):
+            out[j] = here[j]
+    else:
+        w0, w1, w2, w3 = cubic_weights(share)
+        before, after, beyond = exact[m - 1], exact[m + 1], exact[m + 2]
+        for j in range(out.size):
+            out[j] = w0 * before[j] + w1 * here[j] + w2 * after[j] + w3 * beyond[j]
 
 
 @compiled
-def on_row(foot, slope, height, out):
-    """The same in an exact row."""
+def at_height(foot, slope, height, out):
+    """Coordinates (cols,) at the ends of heights, of those of their feet and by how much these change per metre."""
     for j in range(height.size):
         out[j] = foot[j] + np.float64(height[j]) * slope[j]
 
