@@ -90,6 +90,7 @@ MAY_IMPORT = {
     "api.report": "",
     "api.point": "",
     "api.raster_file": "",
+    "api.overviews": "raster_file",
     "api.stac_item": "raster_file",
     "api.shade": "device_calibration layers raster_file",
     "api.contour_lines": "",
@@ -102,8 +103,8 @@ MAY_IMPORT = {
     "api.library": "catalogue device_calibration layers point raster_file shade sun_hours",
     "api.http": "color_scale errors layers point settings shadow_parameters sun_hours_layer workers",
     "api.cli": (
-        "catalogue device_calibration errors http layers map_probing point raster_file report settings shade shadow_parameters "
-        "stac_item sun_hours"
+        "catalogue device_calibration errors http layers map_probing overviews point raster_file report settings shade "
+        "shadow_parameters stac_item sun_hours"
     ),
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""
