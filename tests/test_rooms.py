@@ -90,6 +90,7 @@ MAY_IMPORT = {
     "api.report": "",
     "api.point": "",
     "api.raster_file": "",
+    "api.overviews": "raster_file",
     "api.stac_item": "raster_file",
     "api.shade": "device_calibration layers raster_file",
     "api.contour_lines": "",
@@ -105,8 +106,8 @@ MAY_IMPORT = {
     "api.seed": "device_calibration errors file_stamps layers matrices settings workers",
     "api.http": "color_scale errors file_stamps layers matrices point settings shadow_parameters sun_hours_layer workers",
     "api.cli": (
-        "catalogue device_calibration errors file_stamps http layers map_probing matrices point raster_file report seed settings "
-        "shade shadow_parameters stac_item sun_hours workers"
+        "catalogue device_calibration errors file_stamps http layers map_probing matrices overviews point raster_file report seed "
+        "settings shade shadow_parameters stac_item sun_hours workers"
     ),
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""
