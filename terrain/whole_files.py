@@ -6,6 +6,7 @@ A disk that fills up, an error or an interrupt leaves what lay there before, and
 from __future__ import annotations
 
 import errno
+import glob
 import os
 import secrets
 import shutil
@@ -35,7 +36,7 @@ def replaced_whole(path: Path) -> Iterator[Path]:
     """
     target = path.resolve()
     # Named before it is made, so that an interrupt at any moment finds what to remove.
-    beside = f".{target.name[:_NAME_LENGTH]}.{secrets.token_hex(4)}"
+    beside = f"{_beside(target)}{secrets.token_hex(4)}"
     folder = target.parent / beside
     try:
         mode = _writable_mode(target)
@@ -66,6 +67,18 @@ def replaced_whole(path: Path) -> Iterator[Path]:
         except BaseException:  # an interrupt just now
             shutil.rmtree(folder, ignore_errors=True)
             raise
+
+
+def forget_halves(path: Path) -> None:
+    """Delete what processes left that were killed while they wrote a file. Nobody may be writing it now."""
+    target = path.resolve()
+    for folder in target.parent.glob(f"{glob.escape(_beside(target))}????????"):
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _beside(target: Path) -> str:
+    """What the names of folders begin with in which a file is written."""
+    return f".{target.name[:_NAME_LENGTH]}."
 
 
 def _writable_mode(target: Path) -> int | None:

@@ -92,8 +92,9 @@ class DaskCluster:
 
     def close(self) -> None:
         """As the protocol says. The cluster goes on without this run."""
-        self._client.cancel([future for _, future in self._running.values()])
-        self._client.close(timeout=5.0)
+        with suppress(Exception):  # of a scheduler that has gone
+            self._client.cancel([future for _, future in self._running.values()])
+            self._client.close(timeout=5.0)
         with suppress(OSError):
             store_at(self._shards).delete([self._spec])
 

@@ -20,7 +20,7 @@ from api.seed.running import shard_name
 from api.seed.storage import ShardStore
 from api.seed.task_table import LOST, TaskTable
 from terrain.errors import InputError
-from terrain.whole_files import write_whole
+from terrain.whole_files import forget_halves, write_whole
 
 ARCHIVE = ".pmtiles"
 
@@ -69,6 +69,7 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
 
         try:
             if is_archive(output):
+                forget_halves(output)
                 write_archive(output, indexes, read, _facts(run, sun))
             else:
                 _write_folder(table, output, numbers, keys, indexes, read, run, sun)

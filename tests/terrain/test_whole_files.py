@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from terrain.whole_files import replaced_whole, write_whole
+from terrain.whole_files import forget_halves, replaced_whole, write_whole
 
 
 def names(folder):
@@ -123,6 +123,13 @@ TEMPORARY = {
     "api/contour_lines.py": "inside of what replaces a file",
     "api/point/polar_picture.py": "into memory",
     "api/color_scale.py": "into memory",
+    "api/overviews.py": "inside of what replaces a file",
+    "api/cli/seeding.py": "a log, line by line",
+    "api/seed/archive.py": "inside of what replaces a file",
+    "api/seed/ground_chunks.py": "into memory",
+    "api/seed/publishing.py": "tiles of a folder, before the manifest that says that it is whole",
+    "api/seed/storage.py": "shards: moved to their places as well, but not waited for, since their digests are known",
+    "api/seed/task_table.py": "its lock",
     "api/report/page/pictures.py": "into memory",
     "api/report/comparison.py": "inside of what replaces a file",
     "api/workers/block_tiles.py": "into memory",
@@ -150,3 +157,15 @@ def writing_modules():
 def test_files_are_written_in_one_place():
     found = set(writing_modules())
     assert found == set(TEMPORARY), "terrain.whole_files writes files"
+
+
+def test_what_a_killed_writer_left_is_deleted(tmp_path: Path):
+    path, other = tmp_path / "a[1].bin", tmp_path / "a1.bin"
+    for target in (path, other):
+        with replaced_whole(target) as part:
+            part.write_bytes(b"whole")
+        left = f".{target.name}.0123abcd"
+        (tmp_path / left).mkdir()
+        (tmp_path / left / target.name).write_bytes(b"half")
+    forget_halves(path)
+    assert sorted(each.name for each in tmp_path.iterdir()) == [".a1.bin.0123abcd", "a1.bin", "a[1].bin"]

@@ -1,0 +1,189 @@
+"""A run on a real Dask cluster of processes of their own, on this machine: workers die, one is slow, the scheduler starts anew."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from api.seed.dask_cluster import DaskCluster
+from api.seed.planning import plan_run
+from api.seed.running import TaskEnd
+from api.seed.seeding import draw_and_publish
+from api.seed.storage import store_at
+from api.seed.task_table import TaskTable
+from terrain.errors import GraphicsError, InputError, RenderError
+from tests.api.seed.runs import Run, rough_ground, write_ground
+from tests.api.seed.test_storage import object_store
+
+pytestmark = pytest.mark.long
+
+__all__ = ["object_store"]
+
+ZOOMS = 11, 14
+
+
+class Cluster:
+    """A scheduler and workers, each a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        with socket.socket() as one:
+            one.bind(("127.0.0.1", 0))
+            self.port = int(one.getsockname()[1])
+        self.address, self._folder = f"tcp://127.0.0.1:{self.port}", folder
+        self.scheduler = self._scheduler()
+        self.workers: list[subprocess.Popen[bytes]] = []
+
+    def _scheduler(self) -> subprocess.Popen[bytes]:
+        return self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard", "--no-show")
+
+    def add_worker(self, before: str = "", **environment: str) -> subprocess.Popen[bytes]:
+        """A worker, that runs some Python before it begins."""
+        arguments = [
+            self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(self._folder),
+            "--host", "127.0.0.1",
+        ]  # fmt: skip
+        self.workers.append(self._start("worker", *arguments, before=before, **environment))
+        return self.workers[-1]
+
+    def restart_scheduler(self) -> None:
+        self.scheduler.send_signal(signal.SIGKILL)
+        self.scheduler.wait()
+        self.scheduler = self._scheduler()
+
+    def close(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+
+    def _start(self, kind: str, *arguments: str, before: str = "", **environment: str) -> subprocess.Popen[bytes]:
+        code = f"{before}\nimport sys\nfrom distributed.cli.dask_{kind} import main\nsys.argv[0] = 'dask'\nmain()"
+        log = (self._folder / f"{kind}.log").open("ab")
+        with log:
+            return subprocess.Popen(
+                [sys.executable, "-W", "ignore", "-c", code, *arguments], stdout=log, stderr=log,
+                env={**os.environ, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "5s", **environment},
+            )  # fmt: skip
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    found = Cluster(tmp_path)
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    return Run(write_ground(tmp_path / "dem.tif", rough_ground(120)), tmp_path / "out.pmtiles", ZOOMS)
+
+
+def on_cluster(
+    run: Run, cluster: Cluster, on_end: Callable[[TaskEnd], None] = lambda end: None, shards: str = "", nobody_s: float = 60.0
+) -> list[str]:
+    """Seed on a cluster; the workers that drew, one for each task."""
+    drawn_by: list[str] = []
+    place = shards or str(run.work / "shards")
+
+    def note(end: TaskEnd) -> None:
+        drawn_by.append(end.outcome.worker)
+        on_end(end)
+
+    with TaskTable(run.work / "tasks.sqlite") as table:
+        planned = plan_run(table, run.request, lambda text: None)
+        draw_and_publish(
+            table, planned, store_at(place), place, {planned.sun_names[0]: run.output},
+            lambda: DaskCluster(planned.spec, place, cluster.address, nobody_s), note,
+        )  # fmt: skip
+    return drawn_by
+
+
+def test_the_same_archive_as_on_one_machine_by_way_of_object_storage(run, cluster, tmp_path, object_store):
+    cluster.add_worker()
+    cluster.add_worker()
+    drawn_by = on_cluster(run, cluster, shards=f"{object_store}/dask")
+    assert len(set(drawn_by)) == 2 and not (run.work / "shards").exists()
+    here = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
+    here()
+    assert run.output.read_bytes() == here.output.read_bytes()
+    assert all(name.endswith(".tiles") for name in store_at(f"{object_store}/dask").names())
+
+
+def test_workers_that_die_are_done_without(run, cluster, tmp_path):
+    first = cluster.add_worker()
+    cluster.add_worker()
+    ends = 0
+
+    def kill(end: TaskEnd) -> None:
+        nonlocal ends
+        ends += 1
+        if ends == 2:
+            first.kill()
+            cluster.add_worker()
+
+    on_cluster(run, cluster, kill)
+    here = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
+    here()
+    assert first.wait(10) == -signal.SIGKILL and run.output.read_bytes() == here.output.read_bytes()
+
+
+def test_a_scheduler_that_starts_anew_is_given_what_it_had(run, cluster, tmp_path):
+    cluster.add_worker()
+    ends = 0
+
+    def restart(end: TaskEnd) -> None:
+        nonlocal ends
+        ends += 1
+        if ends == 2:
+            cluster.restart_scheduler()
+            cluster.add_worker()  # a worker ends with its scheduler
+
+    on_cluster(run, cluster, restart)
+    here = Run(run.level, tmp_path / "here.pmtiles", ZOOMS)
+    here()
+    assert run.output.read_bytes() == here.output.read_bytes()
+
+
+def test_a_slow_worker_gets_less_to_do(run, cluster):
+    run.zooms = 11, 15
+    cluster.add_worker()
+    slow = "import api.seed.dask_cluster as c, time\ndraw = c._kept.draw\nc._kept.draw = lambda *a: (time.sleep(2), draw(*a))[1]"
+    cluster.add_worker(before=slow)
+    counts = sorted(Counter(on_cluster(run, cluster)).values())
+    assert len(counts) == 2 and counts[0] < counts[1] / 2
+
+
+def test_a_worker_with_another_renderer_is_refused(run, cluster):
+    other = "import api.seed.dask_cluster as c\nfrom terrain.errors import GraphicsError\n"
+    other += "def refuse(*a): raise GraphicsError('this worker draws with another renderer')\nc._KeptProcess._of = refuse"
+    cluster.add_worker(before=other)
+    with pytest.raises(GraphicsError, match="no worker of the cluster can draw this run.*another renderer"):
+        on_cluster(run, cluster)
+    cluster.add_worker()
+    assert len(set(on_cluster(run, cluster))) == 1, "the other one draws all"
+
+
+def test_without_a_scheduler_or_workers(run, cluster):
+    with pytest.raises(RenderError, match="no worker has come within 3 s; what was drawn is kept"):
+        on_cluster(run, cluster, nobody_s=3.0)
+    cluster.close()
+    with pytest.raises(InputError, match=r"--scheduler.*tcp://127.0.0.1:\d+.*a Dask scheduler that answers"):
+        on_cluster(run, cluster)
+
+
+def test_a_scheduler_that_does_not_come_back(run, cluster):
+    cluster.add_worker()
+
+    def end_it(end: TaskEnd) -> None:
+        cluster.scheduler.kill()
+
+    with pytest.raises(RenderError, match="has not come back within 3 s.*what was drawn is kept"):
+        on_cluster(run, cluster, end_it, nobody_s=3.0)
+    assert threading.active_count() < 50 and time.monotonic() > 0
