@@ -6,6 +6,8 @@ the graph. Every Dask worker keeps one render process, for an OpenGL context may
 
 from __future__ import annotations
 
+import asyncio
+import concurrent.futures
 import hashlib
 import logging
 import time as clock
@@ -30,6 +32,9 @@ WORKERS_EVERY_S = 1.0
 
 AHEAD = 2
 """Tasks that a worker has: one that it draws and one that it finds at once when that is done."""
+
+GONE = (OSError, ValueError, RuntimeError, TimeoutError, asyncio.CancelledError, concurrent.futures.CancelledError)
+"""What Dask's client raises where its scheduler has gone."""
 
 log = logging.getLogger("skugga")
 
@@ -64,9 +69,20 @@ class DaskCluster:
     def submit(self, task: Task) -> None:
         """As the protocol says."""
         able = self._able()
-        future = self._client.submit(
-            draw_on_worker, self._shards, self._spec, tuple(task), pure=False, retries=0, workers=able if self._refused else None
-        )
+        self._running[task.id] = task, None
+        try:
+            future = self._client.submit(
+                draw_on_worker,
+                self._shards,
+                self._spec,
+                tuple(task),
+                pure=False,
+                retries=0,
+                workers=able if self._refused else None,
+            )
+        except GONE:
+            self._looked = -WORKERS_EVERY_S  # it is given again when the scheduler is looked for
+            return
         self._running[task.id] = task, future
         future.add_done_callback(lambda done, number=task.id: self._news.put((number, done)))
 
@@ -99,10 +115,16 @@ class DaskCluster:
             store_at(self._shards).delete([self._spec])
 
     def _outcome(self, task: Task, future: Any) -> list[Drawn | NotDrawn]:
+        try:
+            if future.status != "finished":
+                why = _short(future.exception(timeout=5.0))
+                del self._running[task.id]
+                return [NotDrawn(task.id, f"its Dask worker ended in the middle of it: {why}", "died")]
+            said: Drawn | NotDrawn = future.result(timeout=30.0)
+        except GONE:  # what it was cannot be had from the scheduler any more
+            self._reach_again()
+            return []
         del self._running[task.id]
-        if future.status != "finished":
-            return [NotDrawn(task.id, f"its Dask worker ended in the middle of it: {_short(future.exception())}", "died")]
-        said: Drawn | NotDrawn = future.result()
         if isinstance(said, NotDrawn) and said.how == "refused":
             log.warning("worker %s is refused: %s", said.worker, said.error)
             self._refused[said.worker] = said.error
@@ -126,9 +148,11 @@ class DaskCluster:
             return
         try:
             self._workers = sorted(self._client.nthreads())
-        except (OSError, ValueError, TimeoutError):
+        except GONE:
             self._reach_again()
             return
+        for task in [task for task, future in self._running.values() if future is None]:
+            self.submit(task)
         if self._workers:
             self._seen = now
         elif now - self._seen > self._nobody_s:
@@ -146,15 +170,14 @@ class DaskCluster:
             try:
                 self._client = self._distributed.Client(self._address, timeout=5.0, set_as_default=False)
                 break
-            except (OSError, ValueError) as error:
+            except GONE as error:
                 if clock.monotonic() > until:
                     raise RenderError(
                         f"{self._address}: the scheduler has not come back within {self._nobody_s:g} s ({_short(error)}); "
                         f"what was drawn is kept"
                     ) from None
                 clock.sleep(1.0)
-        self._workers = sorted(self._client.nthreads())
-        self._seen, self._refused = clock.monotonic(), {}
+        self._workers, self._seen, self._refused = [], clock.monotonic(), {}
         for task in lost:
             self.submit(task)
 

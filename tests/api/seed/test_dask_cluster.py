@@ -186,4 +186,3 @@ def test_a_scheduler_that_does_not_come_back(run, cluster):
 
     with pytest.raises(RenderError, match="has not come back within 3 s.*what was drawn is kept"):
         on_cluster(run, cluster, end_it, nobody_s=3.0)
-    assert threading.active_count() < 50 and time.monotonic() > 0
