@@ -11,9 +11,10 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.errors import ArchiveError, NotServedError
-from api.http.answers import OWN_SUN_S, base_url, cache_headers, is_fresh, json_answer, tag_of
+from api.http.answers import OWN_SUN_S, base_url, cache_headers, json_answer, tag_of
 from api.http.archive_file import ARCHIVED_MEDIA_TYPES, ArchiveFile
 from api.http.documented import LEVEL_ERRORS, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
+from api.http.encoded_tiles import EncodedTile
 from api.http.parameters import allow_only
 from api.http.routes_levels import JSON_MEDIA, TILEJSON_ENCODINGS
 from api.http.served_archives import archive_facts
@@ -106,7 +107,7 @@ async def archive_tile(
         if service.settings.empty_tile == "404":
             raise NotServedError("x", f"{archive} has no tile {x}, {y} of zoom {z}.")
         return Response(status_code=204, headers=cache_headers(tag_of(served.version, z, x, y), OWN_SUN_S))
-    return archived_answer(request, body, served, OWN_SUN_S)
+    return archived_tile(body, served, OWN_SUN_S).answer(request)
 
 
 async def read_tile(archive: ArchiveFile, zoom: int, x: int, y: int) -> bytes | None:
@@ -118,12 +119,9 @@ async def read_tile(archive: ArchiveFile, zoom: int, x: int, y: int) -> bytes | 
         raise
 
 
-def archived_answer(request: Request, body: bytes, archive: ArchiveFile, fresh_s: int, **more: str) -> Response:
-    """The answer of a tile that was read, or 304 where the client has it. The tag is of the bytes alone: it stays the same in all
+def archived_tile(body: bytes, archive: ArchiveFile, fresh_s: int, *asked: object, **more: str) -> EncodedTile:
+    """A tile that was read, with ``more`` headers. The tag is of its bytes and of what was ``asked``: it stays the same in all
     services that have the tile, and where an archive is replaced that has it again.
     """
-    tag = tag_of("archived", hashlib.blake2b(body, digest_size=16).hexdigest())
-    headers = {**cache_headers(tag, fresh_s), **more}
-    if is_fresh(request, tag):
-        return Response(status_code=304, headers=headers)
-    return Response(body, headers={**headers, "Server-Timing": "archive;desc=read"}, media_type=archive.media_type)
+    tag = tag_of("archived", hashlib.blake2b(body, digest_size=16).hexdigest(), *asked)
+    return EncodedTile(body, {**cache_headers(tag, fresh_s), "Server-Timing": "archive;desc=read", **more}, archive.media_type)

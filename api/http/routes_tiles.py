@@ -25,7 +25,7 @@ from api.http.documented import (
 from api.http.encoded_tiles import EncodedTile
 from api.http.moments import time_headers
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
-from api.http.routes_archives import archived_answer, read_tile
+from api.http.routes_archives import archived_tile, read_tile
 from api.http.service import Service, TheService
 from api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
 from api.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
@@ -117,13 +117,17 @@ async def tile_answer(
     assert level.data_bounds is not None  # it has zooms, so it has a place on earth
     empty = off_data(matrix_set, *zxy, level.data_bounds)
     longest_s = OWN_SUN_S if wanted.sun_hours is None and wanted.picture.sun is None else GIVEN_SUN_S
+    by: tuple[str | None, ...] = service.pool.renderer, service.pool.plan_version(level.key)
     archives = await service.archives.of_level(level)
     archive = archives.answering(wanted.layer, format, tms, wanted.picture_query(), zxy[0]) if scale == 1 and not empty else None
     if archive is not None:
         with suppress(ArchiveError):  # the log tells; the tile is drawn
             body = await read_tile(archive, *zxy)
             if body is not None:
-                return archived_answer(request, body, archive, service.fresh_s(request, longest_s), **time_headers(request))
+                fresh_s, asked = service.fresh_s(request, longest_s), (name, zxy, wanted.query())
+                read = archived_tile(body, archive, fresh_s, *asked, **time_headers(request))
+                service.tiles.put(request, read, name, (level.version, *by, archives.version))
+                return read.answer(request)
             empty = True
     if empty and service.settings.empty_tile == "404":
         raise NotServedError("x", f"{name} has no data in tile {zxy[1]}, {zxy[2]} of zoom {zxy[0]}.")
@@ -132,7 +136,6 @@ async def tile_answer(
     if archive is not None and empty:
         tag_parts += (archive.version,)  # drawn, the tile may be another one
     of_time = time_headers(request)
-    by: tuple[str | None, ...] = service.pool.renderer, service.pool.plan_version(level.key)
     headers = cache_headers(tag_of(*by, *tag_parts), service.fresh_s(request, longest_s)) | of_time
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)

@@ -63,13 +63,19 @@ def write_level(folder: Path, name: str, crs: str = "EPSG:3857", **keys) -> Path
 PNG = empty_tile("shadow", "png")
 
 
-def write_tiles(path: Path, tiles: Mapping[tuple[int, int, int], bytes], format: str = "png", **said: str) -> Path:
+def write_tiles(
+    path: Path,
+    tiles: Mapping[tuple[int, int, int], bytes],
+    format: str = "png",
+    bounds: tuple[float, float, float, float] = (8.3, 47.4, 8.6, 47.6),
+    **said: str,
+) -> Path:
     """An archive of tiles by zoom, column and row; ``said`` is what its metadata say of them, besides what is usual."""
     index, shard = ShardIndex.of({zxy_to_tileid(*zxy): tile for zxy, tile in tiles.items()})
     skugga = {"layer": "color", "format": format, "tms": "WebMercatorQuad", "query": "", "level": "hills"} | said
     zooms = [zoom for zoom, _, _ in tiles]
     metadata = {"name": "Hills", "attribution": "nobody", "skugga": skugga}
-    facts = ArchiveFacts(format, (8.3, 47.4, 8.6, 47.6), min(zooms), max(zooms), metadata)  # type: ignore[arg-type]
+    facts = ArchiveFacts(format, bounds, min(zooms), max(zooms), metadata)  # type: ignore[arg-type]
     write_archive(path, [index], lambda _: shard, facts)
     return path
 

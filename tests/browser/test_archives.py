@@ -49,7 +49,7 @@ def archive(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
     ):
         tiles[zoom, column, row] = service.get(f"/levels/jacksboro/tiles/{CORNER.tms}/{zoom}/{column}/{row}.png").content
     path = tmp_path_factory.mktemp("archives") / "jacksboro.pmtiles"
-    return write_tiles(path, tiles, level="jacksboro")
+    return write_tiles(path, tiles, bounds=tuple(service.get("/levels/jacksboro").json()["bounds"]), level="jacksboro")
 
 
 @pytest.fixture
