@@ -32,7 +32,7 @@ from terrain.geo.grid import Grid, MapView
 from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.geo.world import EARTH_RADIUS_M, World
 from terrain.ground.elevation import Elevation
-from terrain.ground.surface import Surface
+from terrain.ground.surface import RefinedWindow, Surface, refined_row
 from terrain.scene import Scene
 
 DISC_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
@@ -303,24 +303,31 @@ def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
         row * PATCH_QUADS - more, cols.start * PATCH_QUADS - more, PATCH_QUADS + 1 + 2 * more, len(cols) * PATCH_QUADS + 1 + 2 * more
     )
     out = np.empty((len(cols), PARTS * PARTS, 3 + len(RISE_DIRECTIONS)))
-    _parts_of(window.height_m, more, PATCH_QUADS // PARTS, out)
+    refined = isinstance(window, RefinedWindow)
+    height_m = window.coarser.height_m if isinstance(window, RefinedWindow) else window.height_m
+    _parts_of(height_m, refined, window.row0 % 2, window.col0 % 2, more, PATCH_QUADS // PARTS, out)
     return out
 
 
 @compiled
-def _parts_of(height_m, more, quads, out):
-    """Fill the rows of ``_read_patches`` for all parts of patches that follow one another, of whose nodes and ``more`` round them the
-    heights are given.
+def _parts_of(height_m, refined, row0, col0, more, quads, out):
+    """Fill the rows of ``_read_patches`` for all parts of patches that follow one another. Given are the heights of their nodes and
+    of ``more`` round them, or of those of a grid that theirs refines, from (row0, col0) on (``refined_row``).
     """
-    cols = height_m.shape[1] - 2 * more
+    cols = len(out) * PARTS * quads + 1
     reach, bounds = np.empty((len(RISE_DIRECTIONS), cols), np.float32), np.empty((2, cols), np.float32)
     missing = np.empty(cols + 2 * more, np.int32)
+    band = np.empty((quads + 1 + 2 * more, cols + 2 * more), np.float32)
     for down in range(PARTS):
-        top = down * quads
         missing[:] = 0
-        for i in range(top, top + quads + 1 + 2 * more):
-            _count_missing(height_m[i], missing)
-        nodes = height_m[top + more : top + more + quads + 1]
+        for i in range(len(band)):
+            row = down * quads + i
+            if refined:
+                refined_row(height_m, row0 + row, col0, band[i])
+            else:
+                band[i] = height_m[row]
+            _count_missing(band[i], missing)
+        nodes = band[more : more + quads + 1]
         bounds[0], bounds[1] = np.inf, -np.inf
         for i in range(quads + 1):
             _widen(nodes[i, more : more + cols], bounds[0], bounds[1])

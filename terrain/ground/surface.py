@@ -261,26 +261,43 @@ def _refined(height, row0, col0, rows, cols):
     """
     out = np.empty((rows, cols), np.float32)
     for i in range(rows):
-        _refined_row(height, row0 + i, col0, out[i])
+        refined_row(height, row0 + i, col0, out[i])
     return out
 
 
 @compiled
-def _refined_row(height, row, col0, out):
+def refined_row(height, row, col0, out):
+    """Heights of a row of ``_refined``, 0 or 1 being the first; in loops that compile to vector instructions."""
     above, below = height[row // 2], height[(row + 1) // 2]
-    _middles(above, below, col0, 0, out[col0::2])
-    _middles(above, below, 0, 1, out[1 - col0 :: 2])
+    if col0 == 1:
+        out[0] = _between_columns(above[0], above[1], below[0], below[1]) if row % 2 else _middle(above[0], above[1])
+    pairs = (out.size - col0) // 2
+    at, last = out[col0 : col0 + 2 * pairs], col0 + 2 * pairs
+    west, east = above[col0 : col0 + pairs], above[col0 + 1 : col0 + 1 + pairs]
+    if row % 2:
+        south_west, south_east = below[col0 : col0 + pairs], below[col0 + 1 : col0 + 1 + pairs]
+        for j in range(pairs):
+            at[2 * j] = _middle(west[j], south_west[j])
+            at[2 * j + 1] = _between_columns(west[j], east[j], south_west[j], south_east[j])
+    else:
+        for j in range(pairs):
+            at[2 * j] = west[j]
+            at[2 * j + 1] = _middle(west[j], east[j])
+    if last < out.size:
+        out[last] = _middle(above[col0 + pairs], below[col0 + pairs])
 
 
 @compiled
-def _middles(above, below, first, aside, out):
-    """The middles between two rows, below the columns from ``first`` on (``aside`` 0) or between these and the next."""
-    west, east = above[first : first + out.size], above[first + aside : first + aside + out.size]
-    south_west, south_east = below[first : first + out.size], below[first + aside : first + aside + out.size]
-    for j in range(out.size):
-        falling = 0.5 * (np.float64(west[j]) + np.float64(south_east[j]))
-        rising = 0.5 * (np.float64(east[j]) + np.float64(south_west[j]))
-        out[j] = rising if rising > falling or np.isnan(falling) else falling
+def _middle(one, other):
+    return np.float32(0.5 * (np.float64(one) + np.float64(other)))
+
+
+@compiled
+def _between_columns(west, east, south_west, south_east):
+    """The height in the middle of a quad, on the higher one of its diagonals."""
+    falling = 0.5 * (np.float64(west) + np.float64(south_east))
+    rising = 0.5 * (np.float64(east) + np.float64(south_west))
+    return np.float32(rising if (rising > falling) | np.isnan(falling) else falling)
 
 
 @compiled
@@ -288,15 +305,23 @@ def _refined_there(there, row0, col0, rows, cols):
     """Where there is a surface (rows, cols) at the same places: where there is one at both ends of a diagonal."""
     out = np.empty((rows, cols), np.bool_)
     for i in range(rows):
-        above, below = there[(row0 + i) // 2], there[(row0 + i + 1) // 2]
-        for aside in range(2):
-            first = 0 if aside else col0
-            shown = out[i, (1 - col0 if aside else col0) :: 2]
-            nw, ne = above[first : first + shown.size], above[first + aside : first + aside + shown.size]
-            sw, se = below[first : first + shown.size], below[first + aside : first + aside + shown.size]
-            for j in range(shown.size):
-                shown[j] = (nw[j] & se[j]) | (ne[j] & sw[j])
+        _refined_row_there(there[(row0 + i) // 2], there[(row0 + i + 1) // 2], col0, out[i])
     return out
+
+
+@compiled
+def _refined_row_there(above, below, col0, out):
+    if col0 == 1:
+        out[0] = (above[0] & below[1]) | (above[1] & below[0])
+    pairs = (out.size - col0) // 2
+    at, last = out[col0 : col0 + 2 * pairs], col0 + 2 * pairs
+    nw, ne = above[col0 : col0 + pairs], above[col0 + 1 : col0 + 1 + pairs]
+    sw, se = below[col0 : col0 + pairs], below[col0 + 1 : col0 + 1 + pairs]
+    for j in range(pairs):
+        at[2 * j] = nw[j] & sw[j]
+        at[2 * j + 1] = (nw[j] & se[j]) | (ne[j] & sw[j])
+    if last < out.size:
+        out[last] = above[col0 + pairs] & below[col0 + pairs]
 
 
 @compiled
@@ -379,7 +404,7 @@ def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols
             _of_row(foot, m, share, feet)
             _of_row(per_metre, m, share, slopes)
             if refined:
-                _refined_row(height, row0 % 2 + top + i, col0 % 2, between)
+                refined_row(height, row0 % 2 + top + i, col0 % 2, between)
             heights = between if refined else height[top + i]
             for first in range(col0 // stride * stride, col0 + cols, stride):
                 n = first // stride - first_col
