@@ -270,7 +270,7 @@ def refined_row(height, row, col0, out):
     """Heights of a row of ``_refined``, 0 or 1 being the first; in loops that compile to vector instructions."""
     above, below = height[row // 2], height[(row + 1) // 2]
     if col0 == 1:
-        out[0] = _between_columns(above[0], above[1], below[0], below[1]) if row % 2 else _middle(above[0], above[1])
+        out[0] = _quad_middle(above[0], above[1], below[0], below[1]) if row % 2 else _middle(above[0], above[1])
     pairs = (out.size - col0) // 2
     at, last = out[col0 : col0 + 2 * pairs], col0 + 2 * pairs
     west, east = above[col0 : col0 + pairs], above[col0 + 1 : col0 + 1 + pairs]
@@ -278,7 +278,7 @@ def refined_row(height, row, col0, out):
         south_west, south_east = below[col0 : col0 + pairs], below[col0 + 1 : col0 + 1 + pairs]
         for j in range(pairs):
             at[2 * j] = _middle(west[j], south_west[j])
-            at[2 * j + 1] = _between_columns(west[j], east[j], south_west[j], south_east[j])
+            at[2 * j + 1] = _quad_middle(west[j], east[j], south_west[j], south_east[j])
     else:
         for j in range(pairs):
             at[2 * j] = west[j]
@@ -293,7 +293,7 @@ def _middle(one, other):
 
 
 @compiled
-def _between_columns(west, east, south_west, south_east):
+def _quad_middle(west, east, south_west, south_east):
     """The height in the middle of a quad, on the higher one of its diagonals."""
     falling = 0.5 * (np.float64(west) + np.float64(south_east))
     rising = 0.5 * (np.float64(east) + np.float64(south_west))
