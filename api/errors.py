@@ -37,6 +37,10 @@ class TooLargeError(InputError):
     """A request's body has more bytes than the settings allow."""
 
 
+class ArchiveError(InputError):
+    """A file is no archive of tiles that can be served; ``name`` is its path."""
+
+
 class WorkerCrashError(RenderError):
     """A render process ended in the middle of its work."""
 
@@ -98,6 +102,7 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     InputError: Outcome(422, WRONG_INPUT, "invalid_parameter"),
     LevelError: Outcome(500, WRONG_INPUT, "level", "The level's file is wrong; the service's log says what."),
     SourceError: Outcome(500, WRONG_INPUT, "source", "The level's raster cannot be read; the service's log says why."),
+    ArchiveError: Outcome(500, WRONG_INPUT, "archive", "The archive of tiles cannot be read; the service's log says why."),
     UnsupportedError: Outcome(422, WRONG_INPUT, "unsupported"),
     TooLargeError: Outcome(413, WRONG_INPUT, "too_large"),
     TooCostlyError: Outcome(422, WRONG_INPUT, "too_costly"),

@@ -32,7 +32,8 @@ def file_stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:
 
 def level_version(loaded: LoadedLevel, stamps: Sequence[Stamp]) -> str:
     """The version of a level whose watched files have these stamps: it changes with its text and with the files that it names."""
-    text = repr((loaded.digest, tuple(stamps[1:])))  # the level's own text is in the digest
+    is_raster = str(loaded.path) in loaded.sources  # a raster that is a level by itself; a level file's text is in the digest
+    text = repr((loaded.digest, tuple(stamps if is_raster else stamps[1:])))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -33,7 +33,7 @@ from terrain.scene import Scene
 from terrain.shading import albedo_of, open_sky, shade, sky, srgb_encoded
 
 RENDERER_VERSION = 1
-"""Raised by hand with every change by which any picture becomes another one: pyramids that were drawn before are then drawn anew."""
+"""Raised by hand with every change by which any picture becomes another one: pyramids of before are drawn anew then."""
 
 SHADING_PASS = "shading"
 REFRACTION_PASS = "refraction"

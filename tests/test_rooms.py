@@ -90,6 +90,7 @@ MAY_IMPORT = {
     "api.report": "",
     "api.point": "",
     "api.raster_file": "",
+    "api.overviews": "raster_file",
     "api.stac_item": "raster_file",
     "api.shade": "device_calibration layers raster_file",
     "api.contour_lines": "",
@@ -100,13 +101,13 @@ MAY_IMPORT = {
     "api.map_probing": "",
     "api.file_stamps": "",
     "api.workers": "device_calibration errors layers map_probing point settings sun_hours_layer",
-    "api.seed": "errors",
     "api.library": "catalogue device_calibration layers point raster_file shade sun_hours",
     "api.matrices": "errors workers",
+    "api.seed": "device_calibration errors file_stamps layers matrices settings workers",
     "api.http": "color_scale errors file_stamps layers matrices point settings shadow_parameters sun_hours_layer workers",
     "api.cli": (
-        "catalogue device_calibration errors file_stamps http layers map_probing point raster_file report settings shade "
-        "shadow_parameters stac_item sun_hours"
+        "catalogue device_calibration errors file_stamps http layers map_probing matrices overviews point raster_file report seed "
+        "settings shade shadow_parameters stac_item sun_hours workers"
     ),
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""

@@ -16,7 +16,10 @@ from terrain.level.level_source import LevelSource, units_named
 _LEVEL = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name, a level file, or a raster of heights.")]
 _LEVELS = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[LEVEL]...", help="Level files, rasters or names; without --levels: all bundled levels by default."),
+    typer.Argument(
+        metavar="[LEVEL]...",
+        help="Level files, rasters, names, or archives of tiles (.pmtiles); without --levels: all bundled levels by default.",
+    ),
 ]
 
 _OPTIONS: dict[str, Any] = {

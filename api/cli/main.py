@@ -27,7 +27,7 @@ from api.point.horizon_formats import HORIZON_FORMATS
 from api.raster_file import RasterCells
 from api.shade import SHADE_LAYERS
 from terrain.errors import InputError, SkuggaError, printable
-from terrain.level.gdal_guard import forbid_code, forbid_remote_reads
+from terrain.level.gdal_guard import cap_caches, forbid_code, forbid_remote_reads
 from terrain.level.level import parse_sun
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
@@ -94,7 +94,8 @@ def serve(
     port: Annotated[int | None, typer.Option(help="Port to listen on.", min=0, max=65535)] = None,
     workers: Annotated[int | None, typer.Option(help="Render processes.", min=1)] = None,
 ) -> None:
-    """Serve levels as map tiles over HTTP, with a viewer on /."""
+    """Serve levels as map tiles over HTTP, with a viewer on /; and archives of tiles (.pmtiles) as they are."""
+    from api.http.archive_file import ARCHIVE_SUFFIX
     from api.http.server import serve as run
     from api.settings import load_settings
 
@@ -103,9 +104,12 @@ def serve(
     if not settings.remote_sources:
         forbid_remote_reads()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the service ends in an order of its own
+    archives = [each for each in levels if each.path.suffix.lower() == ARCHIVE_SUFFIX]
+    for option in (option for each in archives for option in each.options):
+        raise InputError(f"--{option}", str(levels[0].path), "a raster beside it: an archive is served as it is")
     if not levels and settings.levels is None:
         levels = [LevelSource(path=path) for path in bundled_levels()]
-    run(settings, levels)
+    run(settings, [each for each in levels if each not in archives], [each.path for each in archives])
 
 
 @app.command()
@@ -482,6 +486,22 @@ def validate(level: LevelSource) -> None:
         typer.echo(printable(f"  note: {remark}"))
 
 
+@app.command("overviews")
+def raster_overviews(
+    raster: Annotated[Path, typer.Argument(metavar="RASTER", help="A raster of heights, a virtual one too.", exists=True)],
+    nodata: Annotated[float | None, typer.Option(metavar="VALUE", help="Its value of cells without a height.")] = None,
+) -> None:
+    """Make overviews of a big raster beside it, in RASTER.ovr; the raster itself is only read."""
+    from api.overviews import make_overviews, missing_overviews
+
+    if (why_none := missing_overviews(raster)) is not None:
+        typer.echo(printable(why_none))
+        return
+    with _progress("Averaging") as advance:
+        path = make_overviews(raster, nodata, advance)
+    typer.echo(printable(f"Wrote {path}"))
+
+
 @app.command()
 def doctor(as_json: JsonOption = False) -> None:
     """Check OpenGL and packages of this machine, and name what is missing."""
@@ -499,6 +519,7 @@ def main() -> None:
     """Entry point of ``skugga``."""
     debug = "--debug" in sys.argv[1:]
     forbid_code()
+    cap_caches()
     try:
         with _ended_in_order():
             status = app(sys.argv[1:] or ["--help"], standalone_mode=False)

@@ -59,8 +59,8 @@ def seed(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON: with --dry-run the outlook, else what was done.")] = False,
     **asked: Any,
 ) -> None:
-    """Draw a level's tiles ahead, into an archive (PMTiles) or a folder. What was drawn is kept: the same command goes on, and draws
-    what has changed.
+    """Draw a level's tiles ahead, into an archive (PMTiles) or a folder. What was drawn is kept: the same command goes on, and
+    draws what has changed.
     """
     from api.cli.seeding import SeedOptions, seed_level
 

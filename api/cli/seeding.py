@@ -24,8 +24,8 @@ from api.seed.drawing import Drawn, check_seeded_format
 from api.seed.local_pool import LocalPool, Runner
 from api.seed.planning import PlannedRun, SeedRequest, plan_run
 from api.seed.publishing import check_output
-from api.seed.running import Progress as Done
-from api.seed.seeding import Seeded, look_for_lost_shards, seed
+from api.seed.running import TaskEnd
+from api.seed.seeding import Seeded, draw_and_publish, look_for_lost_shards
 from api.seed.storage import ShardStore, store_at
 from api.seed.task_table import TaskTable
 from api.settings import cores
@@ -94,7 +94,7 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
             _outlook(table, run, store, options)
             return
         start = _runner(run, shards, options)
-        done = seed(
+        done = draw_and_publish(
             table, run, store, shards, outputs, start, shown.note, options.max_tasks, options.retry_failed
         )  # fmt: skip
         shown.end(done, table)
@@ -133,8 +133,6 @@ def _runner(run: PlannedRun, shards: str, options: SeedOptions) -> Callable[[], 
 def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: SeedOptions) -> None:
     """Print what would run, and why."""
     look_for_lost_shards(table, store)
-    if options.retry_failed:
-        table.retry(table.failed())
     measured = table.measured()
     rows: list[dict[str, Any]] = []
     for sun, zoom, why, count, seconds in table.outlook():
@@ -145,7 +143,7 @@ def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: Seed
             "measured": zoom in measured,
         })  # fmt: skip
     workers = options.workers or cores()
-    total = {name: sum(row[name] for row in rows) for name in ("tasks", "seconds", "bytes")}
+    total = {name: sum(float(row[name]) for row in rows) for name in ("tasks", "seconds", "bytes")}
     counts = table.counts()
     if options.as_json:
         typer.echo(json.dumps({"rows": rows, "total": total, "workers": workers, "states": counts}, indent=2))
@@ -163,7 +161,7 @@ def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: Seed
         console.print(shown)
     wall = "" if options.scheduler else f", {format_duration(1000.0 * total['seconds'] / workers)} with {workers} workers"
     typer.echo(
-        f"{total['tasks']} tasks would run: {format_duration(1000.0 * total['seconds'])} of worker time{wall}, "
+        f"{total['tasks']:.0f} tasks would run: {format_duration(1000.0 * total['seconds'])} of worker time{wall}, "
         f"about {_format_bytes(total['bytes'])}. Done: {counts.get('done', 0)}, failed: {counts.get('failed', 0)}."
     )
 
@@ -199,7 +197,7 @@ class _Shown:
         if self._console.is_terminal:
             self._console.print(text, style="dim")
 
-    def note(self, done: Done) -> None:
+    def note(self, done: TaskEnd) -> None:
         """A task has ended."""
         task, outcome = done.task, done.outcome
         place = f"zoom {task.zoom} block {task.x},{task.y}"
@@ -236,7 +234,7 @@ class _Shown:
         self._file.write(json.dumps(said) + "\n")
         self._file.flush()
 
-    def _line(self, text: str, done: Done) -> None:
+    def _line(self, text: str, done: TaskEnd) -> None:
         if self._quiet:
             return
         if not self._console.is_terminal:

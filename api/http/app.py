@@ -14,6 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.errors import TooLargeError
 from api.http import (
     problems,
+    routes_archives,
     routes_docs,
     routes_health,
     routes_level_page,
@@ -34,6 +35,7 @@ from api.http.first_pictures import served_pictures
 from api.http.metrics import ServiceMetrics
 from api.http.new_suns import NewSuns
 from api.http.openapi import install_openapi
+from api.http.served_archives import ServedArchives
 from api.http.served_levels import ServedLevels
 from api.http.service import ClientGoneError, Service
 from api.http.watching import CLIENT_GONE, KEPT, Watched
@@ -53,23 +55,31 @@ def create_app(
     worker_target: WorkerTarget = worker_main,
     measure: Callable[[], DeviceProfile] = measured_profile,
     probe: Probe = probed_level,
+    archives: Sequence[Path] = (),
 ) -> FastAPI:
-    """The application over some levels and those of the settings' folder; its render processes run from its start to its end. A
-    device without a calibration is given one by ``measure`` while nothing is drawn, and levels are probed by ``probe``.
+    """The application over some levels, those of the settings' folder, and archives of tiles; its render processes run from its
+    start to its end, if there may be levels. A device without a calibration is given one by ``measure`` while nothing is drawn, and
+    levels are probed by ``probe``.
 
-    Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served; of the folder's such are left out.
+    Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served, ``ArchiveError`` for an archive,
+    also one that a level names; of the folder's levels such are left out, and such archives told of in the log.
     """
     served = ServedLevels(
         levels, settings.remote_sources, settings.level_check_s, settings.level_timeout_s, settings.levels, settings.data_roots
     )
+    named = served.known_named()
+    of_tiles = ServedArchives(archives, settings.level_check_s, settings.level_timeout_s)
+    for level in named:
+        of_tiles.check_level(level)
     pool = Pool(settings, worker_target, lambda: served_pictures(served), measure, probe)
     tiles = EncodedTiles(settings.tile_cache_bytes)
     metrics = ServiceMetrics(pool, tiles)
-    service = Service(settings, served, pool, tiles, NewSuns(settings.new_suns_per_minute), metrics)
+    service = Service(settings, served, of_tiles, pool, tiles, NewSuns(settings.new_suns_per_minute), metrics)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        service.pool.open()
+        if service.draws:
+            service.pool.open()
         try:
             yield
         finally:
@@ -96,7 +106,7 @@ def create_app(
     app.add_exception_handler(ClientGoneError, _nobody_reads)
     for routes in (
         routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,
-        routes_snapshot, routes_health,
+        routes_snapshot, routes_archives, routes_health,
     ):  # fmt: skip
         app.include_router(routes.router)
     routes_docs.install_docs(app)

@@ -102,7 +102,10 @@ class EncodedTiles:
 def drawn_by(service: Service, name: str) -> tuple[str | None, ...]:
     """What the tiles of a level hang on besides their addresses."""
     level = service.levels.unchanged(name)
-    return (None,) if level is None else (level.version, service.pool.renderer, service.pool.plan_version(level.key))
+    archives = None if level is None else service.archives.unchanged_of(level)
+    if level is None or archives is None:
+        return (None,)
+    return level.version, service.pool.renderer, service.pool.plan_version(level.key), archives.version
 
 
 def _address(scope: Scope) -> Address:

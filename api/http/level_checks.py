@@ -1,5 +1,5 @@
-"""Looking whether levels have changed, without keeping anybody waiting: one look a level at a time, in a thread of its own, with a
-time limit; whoever asks meanwhile gets the level as it was."""
+"""Looking whether levels, or archives, have changed, without keeping anybody waiting: one look at each at a time, in a thread of
+its own, with a time limit; whoever asks meanwhile gets the level as it was."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class _Look(Generic[LookedAt]):
 class LevelCheck(Generic[LookedAt]):
     """A value that ``look()`` brings up to date or raises a ``SkuggaError`` for, and what came of it last.
 
-    What came is fresh for ``fresh_s`` seconds; a look is waited for ``wait_s`` seconds at most.
+    What came is fresh for ``fresh_s`` seconds; a look is waited for ``wait_s`` seconds at most. ``what`` it is, is said in logs.
     """
 
     name: str
@@ -44,6 +44,7 @@ class LevelCheck(Generic[LookedAt]):
     look: Callable[[], LookedAt]
     fresh_s: float
     wait_s: float
+    what: str = "level"
     error: SkuggaError | None = None
     _looked_s: float = float("-inf")
     _looking: _Look[LookedAt] | None = None
@@ -70,7 +71,9 @@ class LevelCheck(Generic[LookedAt]):
                 await asyncio.wait({asyncio.wrap_future(looking.future)}, timeout=left_s)
             if not looking.future.done() and not looking.told:
                 looking.told = True
-                log.error("level %s: its files have not been read within %g s; it is served as it was", self.name, self.wait_s)
+                log.error(
+                    "%s %s: its files have not been read within %g s; it is served as it was", self.what, self.name, self.wait_s
+                )
         if self.error is not None:
             raise self.error
         return self.value
@@ -105,8 +108,8 @@ class LevelCheck(Generic[LookedAt]):
         except SkuggaError as error:
             return error
         except Exception as error:  # a bug, or what a library raises: the level is wrong, the service goes on
-            log.exception("level %s cannot be read", self.name)
-            return SkuggaError(f"level {self.name} cannot be read: {error!r}")
+            log.exception("%s %s cannot be read", self.what, self.name)
+            return SkuggaError(f"{self.what} {self.name} cannot be read: {error!r}")
 
     def _note(self, outcome: LookedAt | SkuggaError) -> LookedAt:
         self._looked_s = time.monotonic()

@@ -8,6 +8,7 @@ from urllib.parse import quote, urlencode
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
+from api.http.archive_file import ArchiveFile
 from api.http.bearer_token import OPEN_PATHS
 from api.http.documented import ANYWHERE, EXAMPLE_QUERY, problem_docs, with_bounds
 from api.http.problems import Problem
@@ -45,7 +46,7 @@ def _completed(document: dict[str, Any], service: Service) -> dict[str, Any]:
             operation["responses"] = {str(status): answers[status] for status in sorted(answers)}
             if closed:
                 operation["security"] = [{"token": []}]
-            _give_examples(operation, places)
+            _give_examples(operation, places_in(service.archives.known()) if path.startswith("/archives") else places)
             query = operation.pop(EXAMPLE_QUERY, {})
             operation["description"] += f"\n\nFor example: `{method.upper()} {example_address(path, operation, query)}`"
     if token:
@@ -75,6 +76,14 @@ def places_of(levels: list[ServedLevel]) -> dict[str, Any]:
         "LAYER": f"{level.name}:color", "LAYERS": f"{level.name}:color", "QUERY_LAYERS": f"{level.name}:color",
         "TILEMATRIX": str(zoom), "TILEROW": str(tile.y), "TILECOL": str(tile.x), "BBOX": bbox,
     }  # fmt: skip
+
+
+def places_in(archives: dict[str, ArchiveFile]) -> dict[str, Any]:
+    """The same of the first of some archives: a tile that it has."""
+    for name, archive in archives.items():
+        zoom, x, y = archive.first_tile
+        return {"archive": name, "z": zoom, "x": x, "y": y, "format": archive.format}
+    return {}
 
 
 def _give_examples(operation: dict[str, Any], places: dict[str, Any]) -> None:

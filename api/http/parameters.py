@@ -161,6 +161,12 @@ class TileQuery:
             return f"layer={self.layer}&{self.sun_hours.query()}"
         return self.picture.query(**({} if self.layer == "color" else {"layer": self.layer}))
 
+    def picture_query(self) -> str:
+        """What is asked besides the layer, as a query string; of heights nothing, for they hang on no light."""
+        if self.sun_hours is not None:
+            return self.sun_hours.query()
+        return self.picture.query() if LAYERS[self.layer].encoding is None else ""
+
 
 def _layers_in_words(names: Iterable[str]) -> str:
     return "; ".join(f"`{name}` is {LAYERS[name].about}" for name in names)

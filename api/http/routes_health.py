@@ -30,10 +30,11 @@ async def healthz(service: TheService) -> JSONResponse:
 async def readyz(service: TheService) -> JSONResponse:
     """503 until a render process has warmed up, and while none runs. `calibration` says whether plans go by predictions:
     `calibrated`; `waiting` (for an idle service), `running`, `paused`; `failed`, `off`, `none` (no device to calibrate).
-    `probes_waiting` is how many levels, each under a class of suns, are still to be probed while nothing is drawn.
+    `probes_waiting` is how many levels, each under a class of suns, are still to be probed while nothing is drawn. Where archives
+    of tiles are served alone nothing is drawn, and the service is ready at once.
     """
     pool = service.pool
-    if not pool.ready:
+    if service.draws and not pool.ready:
         raise NotReadyError("No render process is ready; the service's log says why if this lasts.")
     return JSONResponse(
         {

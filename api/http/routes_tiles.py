@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.errors import NotServedError
+from api.errors import ArchiveError, NotServedError
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
 from api.http.documented import (
     WORK_ERRORS,
@@ -24,6 +25,7 @@ from api.http.documented import (
 from api.http.encoded_tiles import EncodedTile
 from api.http.moments import time_headers
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
+from api.http.routes_archives import archived_answer, read_tile
 from api.http.service import Service, TheService
 from api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
 from api.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
@@ -114,13 +116,23 @@ async def tile_answer(
     check_format(wanted.layer, format)
     assert level.data_bounds is not None  # it has zooms, so it has a place on earth
     empty = off_data(matrix_set, *zxy, level.data_bounds)
+    longest_s = OWN_SUN_S if wanted.sun_hours is None and wanted.picture.sun is None else GIVEN_SUN_S
+    archives = await service.archives.of_level(level)
+    archive = archives.answering(wanted.layer, format, tms, wanted.picture_query(), zxy[0]) if scale == 1 and not empty else None
+    if archive is not None:
+        with suppress(ArchiveError):  # the log tells; the tile is drawn
+            body = await read_tile(archive, *zxy)
+            if body is not None:
+                return archived_answer(request, body, archive, service.fresh_s(request, longest_s), **time_headers(request))
+            empty = True
     if empty and service.settings.empty_tile == "404":
         raise NotServedError("x", f"{name} has no data in tile {zxy[1]}, {zxy[2]} of zoom {zxy[0]}.")
 
-    longest_s = OWN_SUN_S if wanted.sun_hours is None and wanted.picture.sun is None else GIVEN_SUN_S
-    tag_parts = (level.version, name, tms, zxy, scale, format, wanted.layer, wanted.query())
+    tag_parts: tuple[object, ...] = (level.version, name, tms, zxy, scale, format, wanted.layer, wanted.query())
+    if archive is not None and empty:
+        tag_parts += (archive.version,)  # drawn, the tile may be another one
     of_time = time_headers(request)
-    by = service.pool.renderer, service.pool.plan_version(level.key)
+    by: tuple[str | None, ...] = service.pool.renderer, service.pool.plan_version(level.key)
     headers = cache_headers(tag_of(*by, *tag_parts), service.fresh_s(request, longest_s)) | of_time
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
@@ -138,7 +150,7 @@ async def tile_answer(
     tile = service.tiles.get(headers["ETag"])
     if tile is not None:
         tile = replace(tile, headers=tile.headers | headers)
-        service.tiles.put(request, tile, name, (level.version, *by))
+        service.tiles.put(request, tile, name, (level.version, *by, archives.version))
         return tile.answer(request)
     (block_x, block_y), place = place_in_block(zxy[1] * scale, zxy[2] * scale, scale)
     where: dict[str, Any] = {
@@ -162,5 +174,5 @@ async def tile_answer(
         for kept in (kept or not block.drawn, True)
     )  # fmt: skip
     tile = EncodedTile(block.tiles[place], again, MAP_MEDIA_TYPES[format])
-    service.tiles.put(request, tile, name, (level.version, *by))
+    service.tiles.put(request, tile, name, (level.version, *by, archives.version))
     return Response(tile.body, headers=made, media_type=tile.media_type)

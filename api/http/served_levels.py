@@ -219,6 +219,10 @@ class ServedLevels:
         """All levels as they were last read: no file is looked at."""
         return [check.value for check in self._checks.values()]
 
+    def known_named(self) -> list[ServedLevel]:
+        """The levels of the sources, without those of the folder, as they were last read."""
+        return [check.value for check in self._named.values()]
+
     def names(self) -> list[str]:
         """The levels' names."""
         return list(self._checks)

@@ -89,7 +89,9 @@ class Server(uvicorn.Server):
         ]
         self._take_signals()
         self.started = True
-        names = ", ".join(level.name for level in self._service.levels.known()) or "no level yet"
+        served = [level.name for level in self._service.levels.known()]
+        served += [f"archive {name}" for name in self._service.archives.names()]
+        names = ", ".join(served) or "no level yet"
         host, port = listening[0].getsockname()[:2]
         log.info("Skugga serves %s on http://%s:%d", names, f"[{host}]" if ":" in host else host, port)
 
@@ -108,6 +110,7 @@ class Server(uvicorn.Server):
     def _reload(self) -> None:
         log.info("SIGHUP: looking at the files of all levels")
         self._service.levels.look_again()
+        self._service.archives.look_again()
         # In a thread of its own: reading new levels takes as long as it takes.
         threading.Thread(target=self._service.levels.read_folder_again, name="read the folder of levels", daemon=True).start()
 
@@ -130,9 +133,9 @@ def connection_limit(settings: Settings) -> int:
     return min(settings.max_connections, max(left, LEAST_CONNECTIONS))
 
 
-def serve(settings: Settings, levels: Sequence[Path | LevelSource]) -> None:
-    """Serve levels until SIGINT or SIGTERM. Raises as ``create_app`` does."""
-    app = create_app(settings, levels)
+def serve(settings: Settings, levels: Sequence[Path | LevelSource], archives: Sequence[Path] = ()) -> None:
+    """Serve levels and archives of tiles until SIGINT or SIGTERM. Raises as ``create_app`` does."""
+    app = create_app(settings, levels, archives=archives)
     config = uvicorn.Config(
         app, host=settings.host, port=settings.port, access_log=False, log_config=log_config(settings), http=BoundedHeaders,
         ws="none", server_header=False, timeout_graceful_shutdown=LAST_ANSWERS_S,

@@ -16,6 +16,7 @@ from api.http.encoded_tiles import EncodedTiles
 from api.http.metrics import ServiceMetrics
 from api.http.moments import fresh_for
 from api.http.new_suns import NewSuns
+from api.http.served_archives import ServedArchives
 from api.http.served_levels import ServedLevel, ServedLevels
 from api.settings import Settings
 from api.workers.jobs import DescribedPlanJob, Job, Result
@@ -29,14 +30,20 @@ log = logging.getLogger("skugga")
 
 @dataclass(frozen=True)
 class Service:
-    """Settings, levels and render processes of an application."""
+    """Settings, levels, archives and render processes of an application."""
 
     settings: Settings
     levels: ServedLevels
+    archives: ServedArchives
     pool: Pool
     tiles: EncodedTiles
     new_suns: NewSuns
     metrics: ServiceMetrics
+
+    @property
+    def draws(self) -> bool:
+        """Whether there are render processes: archives alone need none."""
+        return bool(self.levels.names()) or self.settings.levels is not None
 
     def fresh_s(self, request: Request, otherwise_s: int) -> int:
         """How many seconds a picture is fresh: a minute while the device is to be calibrated or levels are to be probed, so that
@@ -64,8 +71,10 @@ class Service:
         """A job's answer, for as long as the client waits for it.
 
         Raises ``TooManySunsError`` for a client that asks for too many suns, ``ClientGoneError``, ``NotServedError`` for a level
-        that is served no more and whose files are gone, and what ``Pool.run`` raises.
+        that is served no more and whose files are gone, or where nothing is drawn, and what ``Pool.run`` raises.
         """
+        if not self.draws:
+            raise NotServedError("level", "This service has archives alone, and draws nothing.")
         if job.request.sun is not None and self.pool.finished(job) is None:
             level = None if isinstance(job, DescribedPlanJob) else job.level
             self.new_suns.take(request.client.host if request.client else "", (level, job.request.sun))

@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
@@ -240,15 +241,17 @@ def _copy(file: BinaryIO, number: int, index: ShardIndex, shard: bytes, stored: 
     expected = ends[-1] if ends else 0
     if len(shard) != expected:
         raise BrokenShardError(f"shard {number} has {len(shard)} bytes; its index says {expected}", number)
-    view, begin = memoryview(shard), 0
-    for tile_id, digest, keep, end in zip(index.ids.tolist(), index.digests, stored.tolist(), ends, strict=True):
-        tile = view[begin:end]
-        if _digest(tile) != digest.tobytes():
-            z, x, y = tileid_to_zxy(tile_id)
+    view, digests = memoryview(shard), index.digests.tobytes()
+    edges = [0, *ends]
+    for row, (begin, end) in enumerate(pairwise(edges)):
+        if _digest(view[begin:end]) != digests[row * DIGEST_BYTES : (row + 1) * DIGEST_BYTES]:
+            z, x, y = tileid_to_zxy(int(index.ids[row]))
             raise BrokenShardError(f"shard {number}: the bytes of tile {z}/{x}/{y} are not those that were written", number)
-        if keep:
-            file.write(tile)
-        begin = end
+    if stored.all():
+        file.write(shard)
+        return
+    for row in np.flatnonzero(stored).tolist():
+        file.write(view[edges[row] : edges[row + 1]])
 
 
 def _digest(tile: bytes | memoryview) -> bytes:

@@ -65,7 +65,7 @@ class Drawer:
 
 
 def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, bytes], float]:
-    """The tiles of a task that show any data, by tile id, and how long writing their files took, seconds. Raises ``SkuggaError``."""
+    """The tiles of a task that show any data, by tile id, and how long writing their files took, seconds."""
     grid = tile_grid(matrix_sets.get(MATRIX_SET), task.zoom)
     view, encoding = block_of_grid(grid, task.x, task.y), LAYERS[spec.layer].encoding
     tiles: dict[tuple[int, int], bytes] = {}

@@ -20,7 +20,7 @@ MOST_CHUNKS = 16_384
 READ_CELLS = 2**23
 """Cells that are read at once."""
 
-DIGEST_BYTES = 16
+CHUNK_DIGEST_BYTES = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class GroundChunks:
     @cached_property
     def digest(self) -> bytes:
         """Of all of the ground."""
-        return hashlib.blake2b(np.int64(self.side).tobytes() + self.digests.tobytes(), digest_size=DIGEST_BYTES).digest()
+        return hashlib.blake2b(np.int64(self.side).tobytes() + self.digests.tobytes(), digest_size=CHUNK_DIGEST_BYTES).digest()
 
     def to_bytes(self) -> bytes:
         """For the task table."""
@@ -64,7 +64,7 @@ def ground_chunks(elevation: Elevation) -> GroundChunks:
         side *= 2
     shape = -(-elevation.rows // side), -(-elevation.cols // side)
     factors = [factor for factor in elevation.overview_factors if factor <= side]
-    digests = np.zeros((*shape, DIGEST_BYTES), np.uint8)
+    digests = np.zeros((*shape, CHUNK_DIGEST_BYTES), np.uint8)
     low_m, high_m = (np.full(shape, np.nan, np.float32) for _ in range(2))
     holes, across = False, max(READ_CELLS // side // side, 1)
     for i in range(shape[0]):
@@ -76,7 +76,7 @@ def ground_chunks(elevation: Elevation) -> GroundChunks:
             for j in range(first, min(first + across, shape[1])):
                 here = slice((j - first) * side, (j - first + 1) * side)
                 cells, valid = stored[:, here], known[:, here]
-                digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
+                digest = hashlib.blake2b(digest_size=CHUNK_DIGEST_BYTES)
                 for part in (cells, valid, *(each[:, (j - first) * (side // f) :][:, : side // f] for f, each in coarse)):
                     digest.update(np.ascontiguousarray(part).tobytes())
                 digests[i, j] = np.frombuffer(digest.digest(), np.uint8)

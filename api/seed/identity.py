@@ -16,17 +16,15 @@ from terrain.level.level import LoadedLevel
 from terrain.level.linked_files import files_beside, is_remote, linked_files
 from terrain.scene import Scene
 
-NO_PICTURE = {"title", "attribution", "views", "shadows"}
-"""Keys of a level by which no tile becomes another one; what ``shadows`` says is in the plans."""
+NO_PICTURE = {"title", "attribution", "views", "shadows", "sun", "archive"}
+"""Keys of a level by which no tile becomes another one; what ``shadows`` says is in the plans, and a sun is told by itself."""
 
 READ_BYTES = 2**20
 
 
-def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable, shades_by_height: bool) -> str:
-    """The digest of all that a level says of its tiles but the ground's heights, for a scene of it; of the range of those, too,
-    where pictures go by it. Raises ``OSError``.
-    """
-    said = scene.loaded.level.model_dump(mode="json", exclude=NO_PICTURE)
+def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable) -> str:
+    """The digest of all that a level says of its tiles but the ground's heights, for a scene of it. Raises ``OSError``."""
+    said = loaded.level.model_dump(mode="json", exclude=NO_PICTURE)
     terrain = loaded.level.terrain.source
     contents = {name: contents_digest(loaded.resolve(name), table) for name in _names(loaded) if name != terrain}
     if terrain is not None:
@@ -34,7 +32,6 @@ def level_digest(loaded: LoadedLevel, scene: Scene, table: TaskTable, shades_by_
     ground = scene.elevation
     facts = {
         "shape": ground.shape, "cells": [float(v) for v in (*ground.xy(0, 0), *ground.xy(1, 1))], "crs": ground.crs.to_wkt(),
-        "range": scene.height_range_m if shades_by_height else None,
     }  # fmt: skip
     return digest_of_json([_without_paths(said, contents), facts])
 

@@ -28,7 +28,6 @@ from selector.kept_probes import load_probes, probes_folder
 from shadows.plan import Plan
 from shadows.render import RENDERER_VERSION
 from terrain.errors import InputError, NoOpenGLError, RenderError, UnsupportedError
-from terrain.gbuffer.covered_nodes import is_bare
 from terrain.geo.grid import tile_grid
 from terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from terrain.gl import device as gl
@@ -37,7 +36,7 @@ from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
-FIRST_GUESS_S = 0.25
+UNKNOWN_TASK_S = 0.25
 """Seconds that a whole task may take of which nothing is known; with a prediction ..."""
 
 BESIDE_SHADOWS_S = 0.15
@@ -130,15 +129,14 @@ def _planned(
     say("Reading the ground")
     ground = ReachedGround(scene, ground_of(loaded, scene, table))
     encoded, overrides = LAYERS[request.layer].encoding is not None, request.overrides
-    shades_by_height = request.layer == "color" or encoded or not is_bare(scene)
-    settings = digest_of_json(
-        [level_digest(loaded, scene, table, shades_by_height), request.layer, request.format, overrides.model_dump(mode="json")]
-    )
-    planner = _Planner(table, scene, LevelKey(**{**request.level.model_dump(), "version": version}), overrides.for_selector())
+    asked = [level_digest(loaded, scene, table), request.layer, request.format, overrides.model_dump(mode="json")]
+    # Colours are stretched over the level's heights, and lines towards the sun are placed at their middle.
+    drawn_by, heights = digest_of_json([RENDERER_VERSION, renderer]), digest_of_json(scene.height_range_m)
+    planner = _Planner(table, loaded, LevelKey(**{**request.level.model_dump(), "version": version}), overrides.for_selector())
     tasks, plans, measured = [], [], table.measured()
     for number, (sun, name) in enumerate(zip(request.suns, suns, strict=True)):
         seen = scene.with_sun(sun)
-        here = ground.under(seen)
+        here, settings = ground.under(seen), digest_of_json([*asked, None if sun else _own_sun(scene)])
         for zoom in range(zooms.first, zooms.last + 1):
             say(f"Planning zoom {zoom}" + (f" under sun {number + 1} of {len(suns)}" if len(suns) > 1 else ""))
             plan = None if encoded else planner.plan(seen, name, zoom)
@@ -149,7 +147,7 @@ def _planned(
             shares = here.shares_on_data(grid, blocks)
             whole_s = _seconds_of_whole(plan, zoom, measured)
             for (x, y), digest, share in zip(blocks, digests, shares, strict=True):
-                parts = KeyParts(digest_of_json([RENDERER_VERSION, renderer]), settings, plan_digest(plan), digest.hex())
+                parts = KeyParts(drawn_by, settings, plan_digest(plan), heights, digest.hex())
                 expected_s = whole_s * max(share, EMPTY_SHARE)
                 tasks.append(PlannedTask(name, zoom, x, y, first_tile_of_block(zoom, x, y), parts, expected_s))
     table.want(tasks)
@@ -162,9 +160,10 @@ def _planned(
 class _Planner:
     """Makes the plans of a level's zooms, as a service would make them; those that the table has stand."""
 
-    def __init__(self, table: TaskTable, scene: Scene, level: LevelKey, overrides: dict[str, Any]) -> None:
+    def __init__(self, table: TaskTable, loaded: LoadedLevel, level: LevelKey, overrides: dict[str, Any]) -> None:
         self._table, self._level, self._overrides = table, level, overrides
-        self._asked = digest_of_json([scene.loaded.level.model_dump(mode="json"), repr(sorted(overrides.items()))])
+        said = loaded.level.model_dump(mode="json", exclude={"title", "attribution", "views", "archive"})
+        self._asked = digest_of_json([said, repr(sorted(overrides.items()))])
         self._basis: PlanBasis | None = None
 
     def plan(self, scene: Scene, sun: str, zoom: int) -> Plan:
@@ -178,6 +177,12 @@ class _Planner:
         plan = plan_in_service(scene, view, "map", self._overrides, self._level, self._basis)
         self._table.put_plan(sun, zoom, self._asked, plan.model_dump_json())
         return plan
+
+
+def _own_sun(scene: Scene) -> Any:
+    """The sun of a level that a request leaves to it, for its digest."""
+    sun = scene.loaded.level.sun
+    return sun if sun is None or sun == "none" else sun.model_dump(mode="json")
 
 
 def _basis(level: LevelKey) -> PlanBasis:
@@ -249,5 +254,5 @@ def _seconds_of_whole(plan: Plan | None, zoom: int, measured: dict[int, tuple[in
     if zoom in measured:
         return measured[zoom][1]
     if plan is None or plan.predicted is None:
-        return FIRST_GUESS_S
+        return UNKNOWN_TASK_S
     return plan.predicted.ms / 1000.0 + BESIDE_SHADOWS_S

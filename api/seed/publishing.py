@@ -73,7 +73,8 @@ def publish(table: TaskTable, run: PlannedRun, store: ShardStore, outputs: Mappi
             else:
                 _write_folder(table, output, numbers, keys, indexes, read, run, sun)
         except BrokenShardError as error:
-            table.retry([numbers[error.number]], LOST)
+            if error.number is not None:
+                table.retry([numbers[error.number]], LOST)
             raise
         table.put(**{f"written {output}": f"{state} {_stamp(output)}".encode()})
         written.append(output)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from api.seed.ground_chunks import DIGEST_BYTES, GroundChunks
+from api.seed.ground_chunks import CHUNK_DIGEST_BYTES, GroundChunks
 from api.workers.drawn_blocks import block_of_grid
 from shadows.ground_pictures import SKY_PASS
 from shadows.plan import Plan
@@ -33,7 +33,7 @@ from terrain.scene import Scene
 WHOLE_LEVEL = frozenset({"clouds", "lamps"})
 """Effects by which a picture hangs on ground anywhere."""
 
-LATTICE = 4
+SIDE_PARTS = 4
 """Parts of a block's side: its ground is bounded by the corners of these."""
 
 BESIDE_PX, BESIDE_CELLS = 8, 8
@@ -86,7 +86,7 @@ class ReachedGround:
         sky = _SkyDigests(self._scene) if shades_ground and plan is not None and SKY_PASS in plan.runs else None
         out = []
         for (x, y), reached in zip(blocks, self.reached(grid, blocks, plan), strict=True):
-            digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
+            digest = hashlib.blake2b(digest_size=CHUNK_DIGEST_BYTES)
             digest.update(np.packbits(reached).tobytes())
             digest.update(self._chunks.digests[reached].tobytes())
             if sky is not None:
@@ -208,7 +208,7 @@ def _chunk_points(scene: Scene, chunks: GroundChunks) -> _Chunks:
 
 def _lattice(grid: Grid, x: int, y: int) -> tuple[np.ndarray, np.ndarray]:
     """Map coordinates of a lattice of places in a block, its rim and a little more."""
-    steps = np.linspace(-BESIDE_PX, BLOCK_PX + BESIDE_PX, LATTICE + 1)
+    steps = np.linspace(-BESIDE_PX, BLOCK_PX + BESIDE_PX, SIDE_PARTS + 1)
     col, row = np.meshgrid(x * BLOCK_PX + steps, y * BLOCK_PX + steps)
     return grid.x(col), grid.y(row)
 

@@ -43,11 +43,14 @@ class Begun:
 
 @dataclass(frozen=True)
 class NotDrawn:
-    """A task that was not drawn, and why: it ``failed``, its worker ``died``, or the run is ``stopped``, whatever the task."""
+    """A task that was not drawn, and why: it ``failed``, its worker ``died``, the run is ``stopped``, whatever the task, or a
+    ``worker`` of a cluster is ``refused``.
+    """
 
     id: int
     error: str
-    how: Literal["failed", "died", "stopped"]
+    how: Literal["failed", "died", "stopped", "refused"]
+    worker: str = ""
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ class RenderProcess:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", f"from api.seed.render_process import main; main({theirs.fileno()})"],
+                [sys.executable, "-c", f"from api.seed.render_process import draw_tasks; draw_tasks({theirs.fileno()})"],
                 pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, env={**os.environ, **environment},
             )  # fmt: skip
         self.connection = Connection(ours.detach())
@@ -108,7 +111,7 @@ class RenderProcess:
         self.connection.close()
 
 
-def main(descriptor: int) -> None:
+def draw_tasks(descriptor: int) -> None:
     """What a child runs."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the one that started it
     forbid_code()

@@ -15,10 +15,10 @@ from api.seed.run_spec import Task
 from api.seed.task_table import TaskTable
 from terrain.errors import RenderError
 
-TRIES = 3
+MOST_DEATHS = 3
 """How often a task is begun of which workers die."""
 
-LOOK_EVERY_S = 0.5
+FILES_EVERY_S = 0.5
 """How often it is looked whether the level's files have changed, where there are many of them; ..."""
 
 FEW_FILES = 100
@@ -28,7 +28,7 @@ HEARD_EVERY_S = 1.0
 
 
 @dataclass(frozen=True)
-class Progress:
+class TaskEnd:
     """A task that is done, or has failed (``outcome``), and how many of those of the run are."""
 
     task: Task
@@ -48,7 +48,7 @@ def task_of(table: TaskTable, run: PlannedRun, number: int) -> Task:
     return Task(number, run.sun_names.index(sun), zoom, x, y, shard_name(key))
 
 
-def run_tasks(table: TaskTable, run: PlannedRun, runner: Runner, on_progress: Callable[[Progress], None]) -> None:
+def run_tasks(table: TaskTable, run: PlannedRun, runner: Runner, on_progress: Callable[[TaskEnd], None]) -> None:
     """Draw what waits. Tasks that fail are noted, and the others go on.
 
     Raises ``RenderError`` where the level changes meanwhile, where no shard can be written, and where nothing can be drawn: what is
@@ -71,15 +71,15 @@ def run_tasks(table: TaskTable, run: PlannedRun, runner: Runner, on_progress: Ca
                 if outcome.how == "stopped":
                     _note(table, run, unchecked)
                     raise RenderError(outcome.error)
-                if outcome.how == "died" and table.tried(outcome.id) < TRIES:
+                if outcome.how == "died" and table.tried(outcome.id) < MOST_DEATHS:
                     waiting.append(outcome.id)
                     continue
                 table.fail(outcome.id, outcome.error)
             else:
                 unchecked.append(outcome)
             done += 1
-            on_progress(Progress(ended, outcome, done, total))
-        if unchecked and (len(run.files) <= FEW_FILES or clock.monotonic() - looked > LOOK_EVERY_S or not running):
+            on_progress(TaskEnd(ended, outcome, done, total))
+        if unchecked and (len(run.files) <= FEW_FILES or clock.monotonic() - looked > FILES_EVERY_S or not running):
             _note(table, run, unchecked)
             unchecked, looked = [], clock.monotonic()
 

@@ -10,7 +10,7 @@ from api.errors import BrokenShardError
 from api.seed.local_pool import Runner
 from api.seed.planning import PlannedRun
 from api.seed.publishing import publish
-from api.seed.running import Progress, run_tasks, shard_name
+from api.seed.running import TaskEnd, run_tasks, shard_name
 from api.seed.storage import ShardStore, check_writable
 from api.seed.task_table import LOST, TaskTable
 from terrain.errors import InputError, RenderError
@@ -36,14 +36,14 @@ def look_for_lost_shards(table: TaskTable, store: ShardStore) -> None:
     table.retry([number for number, key in table.with_shards() if shard_name(key) not in there], LOST)
 
 
-def seed(
+def draw_and_publish(
     table: TaskTable,
     run: PlannedRun,
     store: ShardStore,
     shards: str,
     outputs: Mapping[str, Path],
     start: Callable[[], Runner],
-    on_progress: Callable[[Progress], None],
+    on_progress: Callable[[TaskEnd], None],
     most_tasks: int | None = None,
     retry_failed: bool = False,
 ) -> Seeded:
@@ -78,7 +78,7 @@ def forget_shards(table: TaskTable, store: ShardStore) -> None:
 
 
 def _draw(
-    table: TaskTable, run: PlannedRun, start: Callable[[], Runner], on_progress: Callable[[Progress], None]
+    table: TaskTable, run: PlannedRun, start: Callable[[], Runner], on_progress: Callable[[TaskEnd], None]
 ) -> int:  # fmt: skip
     waiting = len(table.waiting())
     if waiting:

@@ -18,8 +18,6 @@ from terrain.errors import InputError, RenderError
 FORMAT = 1
 """Of the table: one that is of another is refused."""
 
-WAITING, DONE, FAILED = "waiting", "done", "failed"
-
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value BLOB) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS files (path TEXT PRIMARY KEY, stamp TEXT, digest TEXT) WITHOUT ROWID;
@@ -61,12 +59,14 @@ class KeyParts(NamedTuple):
     renderer: str
     settings: str
     plan: str
+    range: str
     ground: str
 
 
 REASONS = {
     "renderer": "the renderer is another one", "settings": "the level or what is asked has changed",
-    "plan": "the plan is another one", "ground": "ground that they hang on has changed",
+    "plan": "the plan is another one", "range": "the level's lowest or highest ground has changed",
+    "ground": "ground that they hang on has changed",
 }  # fmt: skip
 """Why tasks that were done are done again, by the part of their key that has changed."""
 

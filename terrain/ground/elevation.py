@@ -14,16 +14,16 @@ out of the water, and not along cells.
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import rasterio
+from pyproj import CRS
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.fill import fillnodata
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from terrain.cache import bytes_of
 from terrain.compiled import compiled
@@ -31,8 +31,10 @@ from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
 from terrain.ground.cells import cell_heights
 from terrain.ground.georeference import crs_of
-from terrain.ground.open_raster import EXACT_HIGH_CELLS, dataset_of_heights
+from terrain.ground.open_raster import dataset_of_heights
+from terrain.ground.overview import Overview, check_overviews, read_overview
 from terrain.level.bundled import BUNDLED
+from terrain.level.gdal_guard import cap_caches
 from terrain.level.parts import METRES_PER_UNIT, GroundSurface, Units
 
 FILL_CELLS = 64
@@ -41,16 +43,8 @@ FILL_CELLS = 64
 PLAUSIBLE_M = (-11500.0, 9500.0)
 """Heights on earth; anything else (infinities, unmarked sentinels such as -32768) is a hole."""
 
-OVERVIEW_CELLS = 512
-"""Longest side of the overview that reach and relief are read from."""
-
-MOST_CELLS_READ = 4_000_000_000
-"""Cells that are read for that overview where the file has none near it: that takes a minute."""
-
 READ_BLOCK_CELLS = 1024
 """Side of the blocks by which heights at scattered points are read, so that few points far apart do not load a whole raster."""
-
-_NEIGHBOURHOOD = ((maximum_filter, -np.inf), (minimum_filter, np.inf))
 
 UNIT_WORDS: dict[str, Units] = {
     "m": "m", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "ft": "ft", "foot": "ft", "feet": "ft",
@@ -58,22 +52,7 @@ UNIT_WORDS: dict[str, Units] = {
 }  # fmt: skip
 """What files call their units, in lower case."""
 
-os.environ.setdefault("GDAL_CACHEMAX", "128")  # MB of blocks as read; GDAL's own 5 % of the machine's memory are gigabytes
-
-
-@dataclass(frozen=True, eq=False)
-class Overview:
-    """The whole raster, coarsely: (m, n) cells of 2**level raster cells a side, NaN in holes.
-
-    ``heights_m`` are means; ``high_m`` is the highest ground of each cell (for rasters over ``EXACT_HIGH_CELLS`` cells
-    estimated from the means: the highest of the neighbourhood plus half its range). ``lowest_m`` is the lowest ground of all,
-    under water too (estimated likewise).
-    """
-
-    heights_m: np.ndarray
-    high_m: np.ndarray
-    level: int
-    lowest_m: float
+cap_caches()
 
 
 class Elevation:
@@ -116,7 +95,7 @@ class Elevation:
         self.crs = crs_of(source, dataset)
         self.rows, self.cols = dataset.height, dataset.width
         self.flat = self.crs.is_engineering
-        self.units: Units | None = units or self._own_units()
+        self.units: Units | None = units or units_of(dataset, self.crs)
         self._scale = dataset.scales[0] * METRES_PER_UNIT[self.units or "m"] * exaggeration
         self._offset = dataset.offsets[0] * METRES_PER_UNIT[self.units or "m"] * exaggeration
         self._limits = tuple(v * exaggeration for v in PLAUSIBLE_M) if not self.flat else (-1e6, 1e6)
@@ -371,59 +350,40 @@ class Elevation:
         return max(self.rows // 2**level, 1), max(self.cols // 2**level, 1)
 
     def _read_overview(self) -> Overview:
-        """The overview; it settles how a coarser level is read: by averages, but not where sentinels that nothing marks would be
-        averaged into heights.
-        """
-        level = max(int(np.ceil(np.log2(max(self.rows, self.cols) / OVERVIEW_CELLS))), 0)
-        rows, cols = self._level_shape(level)
-        ready = max((factor for factor in self._dataset.overviews(1) if factor <= 2**level), default=1)
-        if self.rows * self.cols > MOST_CELLS_READ * ready**2:
-            had = (
-                f"{self.cols} x {self.rows} cells and no overview of them" if ready == 1 else f"overviews of {ready} cells at most"
-            )
-            raise SourceError(
-                self.name, had, f"overviews (gdaladdo makes them) of a raster of more than {MOST_CELLS_READ:.2g} cells"
-            )
-        mean = self._read_inside(level, 0, rows, 0, cols)
-        if level == 0:
-            self._settle_resampling()
-            surface = self._above_water(mean)
-            return Overview(surface, surface, level, _lowest(mean))
-        if self.rows * self.cols > EXACT_HIGH_CELLS:
-            self._settle_resampling()
-            mean = self._read_inside(level, 0, rows, 0, cols)
-            around = [f(np.nan_to_num(mean, nan=n), size=3, mode="nearest") for f, n in _NEIGHBOURHOOD]
-            half_range = (around[0] - around[1]) / 2
-            high = np.where(np.isfinite(around[0]), around[0] + half_range, np.nan).astype(np.float32)
-            return Overview(self._above_water(mean), self._above_water(high), level, _lowest(around[1] - half_range))
-        factor, high, lowest_m = 2**level, np.full((rows, cols), np.nan, np.float32), np.nan
-        deep, wide = min(factor, self.rows), min(factor, self.cols)
-        for row in range(rows):
-            strip = self._read_inside(0, row * deep, row * deep + deep, 0, cols * wide)
-            top = np.nan_to_num(strip, nan=-np.inf).reshape(deep, cols, wide).max(axis=(0, 2))
-            high[row] = np.where(np.isfinite(top), top, np.nan)
-            lowest_m = float(np.fmin(lowest_m, _lowest(strip)))
-        self._settle_resampling()
-        mean = self._read_inside(level, 0, rows, 0, cols)
-        return Overview(self._above_water(mean), self._above_water(high), level, lowest_m)
+        check_overviews(self.name, self.rows, self.cols, self._dataset.overviews(1))
+        found = read_overview(_Levels(self), self.rows, self.cols)
+        return replace(found, heights_m=self._above_water(found.heights_m), high_m=self._above_water(found.high_m))
 
     def _settle_resampling(self) -> None:
         """After what was read by nearest cells: averages from here on, unless there was an unmarked sentinel in it."""
         self._resampling = Resampling.nearest if self._unmarked else Resampling.average
 
-    def _own_units(self) -> Units | None:
-        word = (self._dataset.units[0] or "").strip().lower()
-        if word in UNIT_WORDS:
-            return UNIT_WORDS[word]
-        axes = self.crs.axis_info
-        if len(axes) == 3:
-            return min(METRES_PER_UNIT, key=lambda u: abs(METRES_PER_UNIT[u] - axes[2].unit_conversion_factor))
-        return None
+
+def units_of(dataset: rasterio.DatasetReader, crs: CRS) -> Units | None:
+    """The unit of heights that a raster states, by itself or by a CRS of three axes; ``None`` where it states none."""
+    word = (dataset.units[0] or "").strip().lower()
+    if word in UNIT_WORDS:
+        return UNIT_WORDS[word]
+    axes = crs.axis_info
+    if len(axes) == 3:
+        return min(METRES_PER_UNIT, key=lambda u: abs(METRES_PER_UNIT[u] - axes[2].unit_conversion_factor))
+    return None
 
 
-def _lowest(height_m: np.ndarray) -> float:
-    """The lowest of some heights, NaN without any."""
-    return float(np.fmin.reduce(height_m, axis=None))
+@dataclass(frozen=True, eq=False)
+class _Levels:
+    """A raster's ground for its overview. (A value of its own: what is public of ``Elevation`` is the surface.)"""
+
+    of: Elevation
+
+    def level_shape(self, level: int) -> tuple[int, int]:
+        return self.of._level_shape(level)
+
+    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
+        return self.of._read_inside(level, row0, row1, col0, col1)
+
+    def settle(self) -> None:
+        self.of._settle_resampling()
 
 
 @compiled

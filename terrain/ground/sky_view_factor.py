@@ -426,7 +426,12 @@ def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
     for n in range(out.size):
         right, below = min(c0[n] + 1, cols - 1) - c0[n], (min(r0[n] + 1, rows - 1) - r0[n]) * cols
         at = begin + r0[n] * cols + c0[n]
-        upper[0, n], upper[1, n], lower[0, n], lower[1, n] = values[at], values[at + right], values[at + below], values[at + below + right]
+        upper[0, n], upper[1, n], lower[0, n], lower[1, n] = (
+            values[at],
+            values[at + right],
+            values[at + below],
+            values[at + below + right],
+        )
     west, east, south_west, south_east = upper[0], upper[1], lower[0], lower[1]
     for n in range(out.size):
         out[n] = _between(west[n], east[n], south_west[n], south_east[n], down[n], across[n])

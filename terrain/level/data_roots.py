@@ -51,6 +51,8 @@ class DataRoots:
 
     def check_level(self, loaded: LoadedLevel) -> None:
         """Look at a level's file, all that it leads to, and what lies beside that."""
+        for archive in loaded.archives:
+            self.check_path(loaded.path, str(archive))
         for file in (str(loaded.path), *loaded.linked_sources):
             self.check_path(loaded.path, file)
             if not is_remote(file):

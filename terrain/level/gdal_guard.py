@@ -1,4 +1,5 @@
-"""What GDAL is kept from, whoever asks it: by its own settings, in the environment of this process and of those that it starts.
+"""What GDAL is kept from, and how much it keeps, whoever asks it: by its own settings, in the environment of this process and of
+those that it starts.
 
 Both GDALs of a process (rasterio and pyogrio bring one each) read the environment, drivers' names when they are first used.
 """
@@ -25,6 +26,22 @@ NO_REMOTE_READS = {
     "PROJ_NETWORK": "OFF",
 }
 """Settings under which nothing is read from other machines, whatever a file leads to."""
+
+
+CACHE_LIMITS = {
+    "GDAL_CACHEMAX": "128",  # MB of cells as read, each process; GDAL's own 5 % of the machine's memory are gigabytes
+    "GDAL_MAX_DATASET_POOL_SIZE": "100",  # parts of virtual rasters that are open: each is a file descriptor
+    "GDAL_MAX_DATASET_POOL_RAM_USAGE": "128MB",  # and what they take, of which GDAL's own limit is a quarter of the machine's
+}
+"""What GDAL may keep in a process, where the environment does not say it."""
+
+
+def cap_caches() -> None:
+    """Bound what GDAL keeps in this process and in those that it starts from now on; what the environment says goes before. To be
+    called before the first raster is opened.
+    """
+    for name, value in CACHE_LIMITS.items():
+        os.environ.setdefault(name, value)
 
 
 def forbid_code() -> None:

@@ -22,7 +22,7 @@ from terrain.level.data_roots import DataRoots
 from terrain.level.level_errors import level_error
 from terrain.level.level_source import KEYS_OF_OPTIONS, LevelSource
 from terrain.level.level_text import MOST_CHARACTERS, parse_level_text
-from terrain.level.linked_files import linked_files
+from terrain.level.linked_files import is_remote, linked_files
 from terrain.level.parts import (
     TIME_WORDS,
     ForestSpec,
@@ -180,6 +180,7 @@ class Level(Model):
     views: dict[str, ViewSpec] = {"map": MapSpec(kind="map")}
     shadows: LevelShadows = LevelShadows()
     effects: Literal["auto"] | dict[EffectName, Literal["auto", "on", "off"]] = "auto"
+    archive: Annotated[str, Field(min_length=1)] | tuple[str, ...] = ()  # of tiles that were drawn ahead, for what serves the level
 
     @field_validator("lights")
     @classmethod
@@ -188,6 +189,13 @@ class Level(Model):
         for name in value:
             if name in reserved:
                 raise PydanticCustomError("light", "names other than {taken}", {"taken": ", ".join(reserved)})
+        return value
+
+    @field_validator("archive")
+    @classmethod
+    def _files(cls, value: str | tuple[str, ...]) -> str | tuple[str, ...]:
+        if any(is_remote(name) or not name for name in ((value,) if isinstance(value, str) else value)):
+            raise PydanticCustomError("archive", "a file of this machine, or a list of such")
         return value
 
     @model_validator(mode="after")
@@ -231,7 +239,7 @@ class Level(Model):
 
 
 class LoadedLevel(BaseModel):
-    """A level with its name and the place it came from; ``digest`` changes with its text."""
+    """A level with its name and the place it came from; ``digest`` changes with what its text says of pictures."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -258,6 +266,12 @@ class LoadedLevel(BaseModel):
         for mesh in level.meshes:
             named += [mesh.source, mesh.caster, mesh.surface, mesh.ground]
         return tuple(self.resolve(name) for name in named if name is not None and name not in BUNDLED)
+
+    @property
+    def archives(self) -> tuple[Path, ...]:
+        """The archives of tiles that the level names, relative to nothing. No picture hangs on them: they are no ``sources``."""
+        named = self.level.archive
+        return tuple(Path(self.resolve(name)) for name in ((named,) if isinstance(named, str) else named))
 
     @property
     def linked_sources(self) -> tuple[str, ...]:
@@ -462,5 +476,6 @@ def _loaded(source: LevelSource) -> LoadedLevel:
         level = Level.model_validate(data)
     except ValidationError as error:
         raise level_error(str(path), data, error.errors()) from None
-    digest = hashlib.sha256(text.encode()).hexdigest()[:16]
+    # Without the archives: tiles that were drawn ahead are those of the level before it named them.
+    digest = hashlib.sha256(repr({key: value for key, value in data.items() if key != "archive"}).encode()).hexdigest()[:16]
     return LoadedLevel(name=printable(path.stem), path=path.resolve(), level=level, digest=digest)

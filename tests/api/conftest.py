@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -17,12 +17,15 @@ import uvicorn
 from affine import Affine
 from fastapi import FastAPI
 from morecantile import tms as matrix_sets
+from pmtiles.tile import zxy_to_tileid
 
 from api.http.app import create_app
 from api.http.bounded_headers import BoundedHeaders
 from api.http.server import Server, log_config
 from api.http.service import Service
+from api.seed.archive import ArchiveFacts, ShardIndex, write_archive
 from api.settings import Settings
+from api.workers.block_tiles import empty_tile
 from api.workers.worker_process import WorkerTarget
 from tests.rasters import ENGINEERING
 
@@ -54,6 +57,20 @@ def write_level(folder: Path, name: str, crs: str = "EPSG:3857", **keys) -> Path
     level = {"version": 1, "title": f"The {name}", "attribution": "nobody", "sun": SUN}
     level["terrain"] = {"source": raster.name}
     path.write_text(json.dumps({**level, **keys}), encoding="utf-8")
+    return path
+
+
+PNG = empty_tile("shadow", "png")
+
+
+def write_tiles(path: Path, tiles: Mapping[tuple[int, int, int], bytes], format: str = "png", **said: str) -> Path:
+    """An archive of tiles by zoom, column and row; ``said`` is what its metadata say of them, besides what is usual."""
+    index, shard = ShardIndex.of({zxy_to_tileid(*zxy): tile for zxy, tile in tiles.items()})
+    skugga = {"layer": "color", "format": format, "tms": "WebMercatorQuad", "query": "", "level": "hills"} | said
+    zooms = [zoom for zoom, _, _ in tiles]
+    metadata = {"name": "Hills", "attribution": "nobody", "skugga": skugga}
+    facts = ArchiveFacts(format, (8.3, 47.4, 8.6, 47.6), min(zooms), max(zooms), metadata)  # type: ignore[arg-type]
+    write_archive(path, [index], lambda _: shard, facts)
     return path
 
 
@@ -100,10 +117,13 @@ def running(app: FastAPI) -> Iterator[Client]:
 
 @pytest.fixture(scope="session")
 def client(folder: Path, hills_level: Path) -> Iterator[Client]:
-    """A service with one real render process: ``hills``, ``timed`` (its sun by a time) and ``site`` (a flat world)."""
+    """A service with one real render process: ``hills``, ``timed`` (its sun by a time) and ``site`` (a flat world);
+    and an archive, ``shadows``, of one tile.
+    """
     timed = write_level(folder, "timed", sun={"time": "2024-06-21T18:00:00+02:00"})
     site = write_level(folder, "site", ENGINEERING)
-    with running(create_app(Settings(workers=1), [hills_level, timed, site])) as client:
+    archive = write_tiles(folder / "shadows.pmtiles", {(ZOOM, *CORNER): PNG}, layer="shadow")
+    with running(create_app(Settings(workers=1), [hills_level, timed, site], archives=[archive])) as client:
         yield client
 
 

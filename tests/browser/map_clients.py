@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,7 +23,7 @@ from tests.browser.watched_page import WatchedPage
 CLIENTS = Path(__file__).parent / "clients"
 """The pages, and the libraries that npm installs beside them."""
 
-LIBRARIES = ("leaflet", "maplibre-gl", "ol")
+LIBRARIES = ("leaflet", "maplibre-gl", "ol", "pmtiles")
 
 LEVEL = "jacksboro"
 
@@ -59,17 +60,38 @@ class MapClient(WatchedPage):
             self.check()
 
 
-class _Quiet(SimpleHTTPRequestHandler):
+class QuietFiles(SimpleHTTPRequestHandler):
     """Serves files without a log."""
 
     def log_message(self, format: str, *args: Any) -> None:
         """Say nothing."""
 
 
+class RangesOfFiles(QuietFiles):
+    """Serves parts of files as object storage does, to pages of any origin: one range of bytes (RFC 9110, section 14)."""
+
+    def do_GET(self) -> None:
+        """Answer with the range that is asked for."""
+        asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+        if asked is None:
+            self.send_error(416)
+            return
+        content = Path(self.translate_path(self.path)).read_bytes()
+        first, last = int(asked[1]), min(int(asked[2]), len(content) - 1)
+        self.send_response(206)
+        for name, value in {
+            "Access-Control-Allow-Origin": "*", "Content-Type": "application/vnd.pmtiles", "Content-Length": str(last + 1 - first),
+            "Content-Range": f"bytes {first}-{last}/{len(content)}", "ETag": '"1"',
+        }.items():  # fmt: skip
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(content[first : last + 1])
+
+
 @contextmanager
-def served_folder(folder: Path) -> Iterator[str]:
+def served_folder(folder: Path, files: type[QuietFiles] = QuietFiles) -> Iterator[str]:
     """The address of a server of a folder's files."""
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(folder))) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(files, directory=str(folder))) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         try:

@@ -167,7 +167,8 @@ def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path | None, list[str]
     """The folder and the names of what would be served."""
     calls: list[tuple[Path | None, list[str]]] = []
 
-    def note(settings: Settings, levels: list[LevelSource]) -> None:
+    def note(settings: Settings, levels: list[LevelSource], archives: list[Path]) -> None:
+        assert not archives
         calls.append((settings.levels, [level.path.stem for level in levels]))
 
     monkeypatch.setattr(server, "serve", note)

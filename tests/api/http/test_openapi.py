@@ -26,6 +26,7 @@ from schemathesis.specs.openapi.checks import (
 )
 
 from api.http import (
+    routes_archives,
     routes_health,
     routes_level_page,
     routes_levels,
@@ -48,7 +49,7 @@ ROUTERS: list[APIRouter] = [
     module.router
     for module in (
         routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,
-        routes_snapshot, routes_health,
+        routes_snapshot, routes_archives, routes_health,
     )
 ]  # fmt: skip
 OPERATIONS = [
@@ -160,7 +161,8 @@ def narrowed(document: dict[str, Any]) -> dict[str, Any]:
     narrow = copy.deepcopy(document)
     x, y = CORNER
     places: dict[str, dict[str, Any]] = {
-        "level": {"enum": ["hills", "timed", "site", "nowhere"]}, "tms": {"enum": ["WebMercatorQuad", "WorldCRS84Quad", "Nowhere"]},
+        "level": {"enum": ["hills", "timed", "site", "nowhere"]}, "archive": {"enum": ["shadows", "nowhere"]},
+        "tms": {"enum": ["WebMercatorQuad", "WorldCRS84Quad", "Nowhere"]},
         "z": {"minimum": ZOOM, "maximum": ZOOM + 1},
         "x": {"minimum": x - 1, "maximum": x + 1}, "y": {"minimum": y - 1, "maximum": y + 1},
         "lon": {"minimum": 8.38, "maximum": 8.5}, "lat": {"minimum": 47.47, "maximum": 47.56},
@@ -200,7 +202,7 @@ def test_what_is_asked_by_the_document_is_answered_by_it(
     checks = [status_code_conformance, content_type_conformance, response_schema_conformance]
     wrong = whole_schema[path][method]
     kinds = [(right_schema[path][method], GenerationMode.POSITIVE, checks)]
-    if {each["name"] for each in parameters(wrong.definition.raw)} - {"level"}:  # any text is a name
+    if {each["name"] for each in parameters(wrong.definition.raw)} - {"level", "archive"}:  # any text is a name
         kinds.append((wrong, GenerationMode.NEGATIVE, [*checks, negative_data_rejection]))
     for operation, mode, checks in kinds:
 

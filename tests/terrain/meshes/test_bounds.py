@@ -17,7 +17,7 @@ from pyproj import CRS
 from terrain.errors import SourceError
 from terrain.geo import vectors
 from terrain.geo.vectors import read_features
-from terrain.ground import elevation as elevation_module
+from terrain.ground import overview as overview_module
 from terrain.ground.elevation import Elevation
 from terrain.ground.imagery import Imagery
 from terrain.meshes import body as body_module
@@ -214,9 +214,9 @@ def test_cells_as_large_as_countries_are_refused(write_raster):
 
 def test_a_vast_raster_needs_overviews(write_raster, monkeypatch):
     path = write_raster(np.ones((1100, 1100), np.float32), UTM, 500e3, 5200e3, 10.0, tiled=True)
-    monkeypatch.setattr(elevation_module, "MOST_CELLS_READ", 1100 * 1100 // 4)
+    monkeypatch.setattr(overview_module, "MOST_CELLS_READ", 1100 * 1100 // 4)
     monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 1000)
-    monkeypatch.setattr(elevation_module, "EXACT_HIGH_CELLS", 1000)
+    monkeypatch.setattr(overview_module, "EXACT_HIGH_CELLS", 1000)
     with pytest.raises(SourceError, match="1100 x 1100 cells and no overview.*gdaladdo"):
         Elevation(str(path))
     with rasterio.open(path, "r+") as dataset:

@@ -1,0 +1,283 @@
+"""Reading a PMTiles archive: https://github.com/protomaps/PMTiles/blob/main/spec/v3/spec.md
+
+Directories are read into arrays, and checked as they are. The file is read at places (``pread``), not mapped: one that is cut short
+while it is served is an error then, and not the end of the process.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import weakref
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pmtiles.tile import Compression, HeaderDict, TileType, deserialize_header, tileid_to_zxy, zxy_to_tileid
+
+from api.errors import ArchiveError
+from api.file_stamps import Stamp, file_stamps
+from terrain.cache import MIB, Cache, Missing
+from terrain.errors import Fault
+
+ARCHIVE_SUFFIX = ".pmtiles"
+
+TILE_FORMATS = {
+    TileType.PNG: ("png", "image/png"),
+    TileType.JPEG: ("jpg", "image/jpeg"),
+    TileType.WEBP: ("webp", "image/webp"),
+    TileType.AVIF: ("avif", "image/avif"),
+}
+"""Ending of an address and media type by the type that a header says."""
+
+ARCHIVED_MEDIA_TYPES = {ending: media_type for ending, media_type in TILE_FORMATS.values()}
+
+_HEADER_BYTES = 127
+DIRECTORY_DEPTH = 3
+"""Directories under one another, the root among them: readers go no deeper."""
+
+MOST_UNPACKED = 64 * MIB
+"""Bytes of a directory or of the metadata; larger ones are taken for broken. A leaf of 4096 entries has some 40 KB."""
+
+CHECKED_LEAVES = 64 * MIB
+"""Of leaf directories, packed: so many bytes are read when an archive is opened (a second or two), all further ones when they are
+needed."""
+
+WHOLE = "a whole PMTiles archive of version 3, of pictures"
+
+
+@dataclass(frozen=True, eq=False)
+class _Directory:
+    """Entries in arrays of uint64, each (n,): ids, ascending; runs, 0 for a leaf directory; lengths and offsets in bytes."""
+
+    ids: NDArray[np.uint64]
+    runs: NDArray[np.uint64]
+    lengths: NDArray[np.uint64]
+    offsets: NDArray[np.uint64]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        return 4 * self.ids.nbytes
+
+
+_directories: Cache[_Directory] = Cache("api.http.archive_directories", "process", 64 * MIB)
+
+
+class ArchiveFile:
+    """A PMTiles archive that is open. To be used from any thread, but not from the event loop's: it reads files.
+
+    Raises ``ArchiveError``, which names the file, for what is no whole archive of pictures; so does every read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            (self.stamp,) = file_stamps([path])  # before it is read: what changes meanwhile is seen at the next look
+            self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        except OSError as error:
+            raise self._broken(error.strerror or str(error)) from None
+        weakref.finalize(self, os.close, self._file)
+        self.header = self._header()
+        self.metadata = self._metadata()
+        self.version = self._version()
+        self._root = self._checked_root()
+        self.first_tile = self._first_tile()
+        self.format, self.media_type = TILE_FORMATS[self.header["tile_type"]]
+
+    @property
+    def zooms(self) -> range:
+        """The zooms that it has tiles of."""
+        return range(self.header["min_zoom"], self.header["max_zoom"] + 1)
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east, north in degrees, as the header has them."""
+        header = self.header
+        edges = (header["min_lon_e7"], header["min_lat_e7"], header["max_lon_e7"], header["max_lat_e7"])
+        west, south, east, north = (edge / 1e7 for edge in edges)
+        return west, south, east, north
+
+    @property
+    def of_skugga(self) -> dict[str, Any]:
+        """What the metadata say of the tiles if they were drawn by this package; empty where others made them."""
+        said = self.metadata.get("skugga")
+        return said if isinstance(said, dict) else {}
+
+    def tile(self, zoom: int, x: int, y: int) -> bytes | None:
+        """A tile's bytes; ``None`` where the archive has none. Raises ``ArchiveError``."""
+        if zoom not in self.zooms or not (0 <= x < 2**zoom and 0 <= y < 2**zoom):
+            return None
+        tile_id = zxy_to_tileid(zoom, x, y)
+        directory = self._root
+        for _ in range(DIRECTORY_DEPTH):
+            row = int(np.searchsorted(directory.ids, np.uint64(tile_id), side="right")) - 1
+            if row < 0:
+                return None
+            run, length, offset = (int(column[row]) for column in (directory.runs, directory.lengths, directory.offsets))
+            if run:
+                inside = tile_id < int(directory.ids[row]) + run
+                return self._read(self.header["tile_data_offset"] + offset, length) if inside else None
+            directory = self._leaf(offset, length)
+        raise self._broken("leaf directories under leaf directories")
+
+    def _first_tile(self) -> tuple[int, int, int]:
+        """Zoom, column and row of a tile that it has."""
+        directory = self._root
+        for _ in range(DIRECTORY_DEPTH):
+            if directory.runs[0]:
+                return tileid_to_zxy(int(directory.ids[0]))
+            directory = self._leaf(int(directory.offsets[0]), int(directory.lengths[0]))
+        raise self._broken("leaf directories under leaf directories")
+
+    def _header(self) -> HeaderDict:
+        raw = os.pread(self._file, _HEADER_BYTES, 0)
+        if raw[:7] != b"PMTiles":
+            raise self._broken("not a PMTiles archive" if raw[:2] != b"PM" else "a PMTiles archive of an earlier version")
+        if raw[7:8] not in (b"", b"\x03"):
+            raise self._broken(f"a PMTiles archive of version {raw[7]}")
+        if len(raw) < _HEADER_BYTES:
+            raise self._broken("cut short: it ends in its header")
+        try:
+            header = deserialize_header(raw)
+        except ValueError as error:
+            raise self._broken(f"its header is wrong: {error}") from None
+        if header["tile_type"] not in TILE_FORMATS:
+            kind = "vector tiles" if header["tile_type"] in (TileType.MVT, TileType.MLT) else "tiles of an unknown kind"
+            raise self._broken(f"it has {kind}, and those are not served")
+        for part in ("internal", "tile"):
+            plain = Compression.UNKNOWN if part == "tile" else Compression.GZIP
+            used = header["tile_compression"] if part == "tile" else header["internal_compression"]
+            if used not in (Compression.NONE, plain):
+                raise self._broken(f"its {'tiles' if part == 'tile' else 'directories'} are compressed by {used.name.lower()}")
+        size = os.fstat(self._file).st_size
+        ends = {
+            "root directory": header["root_offset"] + header["root_length"],
+            "metadata": header["metadata_offset"] + header["metadata_length"],
+            "leaf directories": header["leaf_directory_offset"] + header["leaf_directory_length"],
+            "tiles": header["tile_data_offset"] + header["tile_data_length"],
+        }
+        part, end = max(ends.items(), key=lambda item: item[1])
+        if end > size:
+            raise self._broken(f"cut short: its {part} end at byte {end}, and it has {size}")
+        if not header["min_zoom"] <= header["max_zoom"] <= 31:
+            raise self._broken(f"its header is wrong: zooms from {header['min_zoom']} to {header['max_zoom']}")
+        return header
+
+    def _metadata(self) -> dict[str, Any]:
+        raw = self._unpacked(self.header["metadata_offset"], self.header["metadata_length"], "metadata")
+        try:
+            metadata = json.loads(raw) if raw else {}
+        except ValueError:
+            raise self._broken("its metadata are no JSON") from None
+        if not isinstance(metadata, dict):
+            raise self._broken("its metadata are no object of JSON")
+        return metadata
+
+    def _version(self) -> str:
+        text = repr((self.stamp, sorted(map(str, self.header.items())), sorted(map(str, self.metadata.items()))))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def _checked_root(self) -> _Directory:
+        root = self._directory(self.header["root_offset"], self.header["root_length"])
+        left = CHECKED_LEAVES
+        for length, offset in _leaves(root):
+            left -= length
+            if left < 0:
+                break
+            self._leaf(offset, length)
+        return root
+
+    def _leaf(self, offset: int, length: int) -> _Directory:
+        """A leaf directory, from memory where it is kept."""
+        found = _directories.get(self, offset)
+        if isinstance(found, Missing):
+            if offset + length > self.header["leaf_directory_length"]:
+                raise self._broken("broken directories: one reaches past the others")
+            found = self._directory(self.header["leaf_directory_offset"] + offset, length)
+            _directories.put(self, offset, value=found)
+        return found
+
+    def _directory(self, offset: int, length: int) -> _Directory:
+        numbers = _varints(self._unpacked(offset, length, "directories"))
+        count = int(numbers[0]) if numbers is not None and len(numbers) else 0
+        if numbers is None or count == 0 or len(numbers) != 1 + 4 * count:
+            raise self._broken("broken directories: one is cut short or has no entry")
+        deltas, runs, lengths, codes = numbers[1:].reshape(4, count)
+        ids = np.cumsum(deltas, dtype=np.uint64)
+        # A code of 0 follows the entry before: what lies between such is summed from the last offset that is stated.
+        stated = codes > 0
+        if not stated[0]:
+            raise self._broken("broken directories: the first entry follows no other")
+        before = np.concatenate([[0], np.cumsum(lengths[:-1], dtype=np.uint64)]).astype(np.uint64)
+        last = np.maximum.accumulate(np.where(stated, np.arange(count), 0))
+        offsets = codes[last] - np.uint64(1) + before - before[last]
+        of_tiles = runs > 0
+        ends = offsets + lengths
+        if not (
+            (deltas[1:] > 0).all()
+            and (ids[1:] >= ids[:-1] + runs[:-1]).all()
+            and lengths.all()
+            and (ends >= lengths).all()
+            and (ends[of_tiles] <= self.header["tile_data_length"]).all()
+            and (ends[~of_tiles] <= self.header["leaf_directory_length"]).all()
+        ):
+            raise self._broken("broken directories: entries overlap, or reach past the end")
+        return _Directory(ids, runs, lengths, offsets)
+
+    def _unpacked(self, offset: int, length: int, part: str) -> bytes:
+        raw = self._read(offset, length)
+        if self.header["internal_compression"] is Compression.NONE or not raw:
+            return raw
+        unpacking = zlib.decompressobj(wbits=31)
+        try:
+            plain = unpacking.decompress(raw, MOST_UNPACKED)
+        except zlib.error:
+            raise self._broken(f"broken {part}: no gzip") from None
+        if not unpacking.eof:
+            raise self._broken(f"broken {part}: gzip that does not end")
+        return plain
+
+    def _read(self, offset: int, length: int) -> bytes:
+        try:
+            raw = os.pread(self._file, length, offset)
+        except (OSError, OverflowError) as error:
+            raise self._broken(f"it cannot be read: {error}") from None
+        if len(raw) < length:
+            raise self._broken("cut short since it was opened")
+        return raw
+
+    def _broken(self, fault: str) -> ArchiveError:
+        return ArchiveError(str(self.path), Fault(fault), WHOLE)
+
+
+def changed(archive: ArchiveFile | None, path: Path) -> bool:
+    """Whether a file is another one than was opened, or ``None`` was. Reads what the file system says of it."""
+    now: Stamp = file_stamps([path])[0]
+    return archive is None or archive.stamp != now
+
+
+def _leaves(directory: _Directory) -> Iterator[tuple[int, int]]:
+    """Length and offset of each leaf directory that a directory leads to."""
+    rows = np.flatnonzero(directory.runs == 0)
+    return zip(directory.lengths[rows].tolist(), directory.offsets[rows].tolist(), strict=True)
+
+
+def _varints(raw: bytes) -> NDArray[np.uint64] | None:
+    """Numbers of 7 bits a byte, the lowest first, each byte but a number's last with its highest bit set; ``None`` for bytes that
+    end within a number, or numbers of more than ten bytes.
+    """
+    data = np.frombuffer(raw, np.uint8)
+    ends = np.flatnonzero(data < 128)
+    if not len(data) or data[-1] >= 128:
+        return None
+    begins = np.concatenate([[0], ends[:-1] + 1])
+    place = np.arange(len(data)) - np.repeat(begins, ends - begins + 1)
+    if place.max() >= 10:
+        return None
+    return np.add.reduceat((data & 127).astype(np.uint64) << (7 * place).astype(np.uint64), begins)

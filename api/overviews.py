@@ -1,0 +1,189 @@
+"""Overviews of a raster, made beside it: a file of means of 2 x 2, 4 x 4, ... cells, with the raster's name and ``.ovr`` after it.
+
+The raster itself is only read. Cells without a height, marked or not, are in no mean: a cell of an overview is the mean of what
+heights there are below it, and without a height where there is none.
+"""
+
+from __future__ import annotations
+
+import errno
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from rasterio.enums import MaskFlags, Resampling
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import DatasetWriter
+from rasterio.windows import Window
+
+from api.raster_file import check_raster
+from terrain.compiled import compiled
+from terrain.errors import InputError, SourceError
+from terrain.ground.elevation import PLAUSIBLE_M, units_of
+from terrain.ground.georeference import crs_of
+from terrain.ground.overview import lacks_overviews, overview_level
+from terrain.level.parts import METRES_PER_UNIT
+from terrain.level.rasters import open_raster
+from terrain.whole_files import replaced_whole
+
+TILE_CELLS = 512
+"""Side of a tile of the file."""
+
+TILES_AT_A_TIME = 8
+"""Tiles side by side that are made from one window of the raster: 4 million of its cells."""
+
+ALTERNATIVE = "gdaladdo writes overviews of such a raster"
+
+
+def missing_overviews(raster: Path) -> str | None:
+    """What a raster has overviews for already, in words, or why it needs none; ``None`` where it lacks some.
+
+    Raises ``SourceError``.
+    """
+    with _opened(raster) as dataset:
+        rows, cols, factors = dataset.height, dataset.width, dataset.overviews(1)
+        if lacks_overviews(rows, cols, factors):
+            return None
+        if factors and lacks_overviews(rows, cols, []):
+            return f"{raster.name} has overviews of {', '.join(map(str, factors))} cells, and needs no others"
+        return f"{raster.name} needs no overviews: {cols} x {rows} cells are few enough to be read as they are"
+
+
+def make_overviews(raster: Path, nodata: float | None = None, on_part: Callable[[int, int], None] | None = None) -> Path:
+    """Write the overviews of a raster of heights beside it, whole or not at all; returns their file. ``nodata`` is a value of its
+    cells that means no height, besides the one that it declares. ``on_part(done, total)`` is called after each part.
+
+    Raises ``SourceError`` for what cannot have them, ``InputError`` for a ``nodata`` that no cell can have, ``OSError``.
+    """
+    target = raster.with_name(f"{raster.name}.ovr")
+    with ExitStack() as stack:
+        stack.enter_context(rasterio.Env())
+        stack.enter_context(warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning))  # overviews lie nowhere
+        dataset = stack.enter_context(_opened(raster))
+        _check(raster, target, dataset, nodata)
+        dtype, limits = np.dtype(dataset.dtypes[0]), _plausible(dataset)
+        empty = _empty_value(dtype, limits, dataset.nodata if nodata is None else nodata)
+        rows, cols = (-(-size // 2) for size in dataset.shape)
+        parts = [*_parts(rows, cols)]
+        total = len(parts) + max(len(parts) // 3, 1)  # the coarser ones have a third of the cells
+        with replaced_whole(target) as made:
+            with rasterio.open(
+                made, "w", driver="GTiff", width=cols, height=rows, count=1, dtype=dtype, nodata=empty, tiled=True,
+                blockxsize=TILE_CELLS, blockysize=TILE_CELLS, compress="deflate", zlevel=1, num_threads="ALL_CPUS",
+                predictor=3 if dtype.kind == "f" else 2, bigtiff="if_safer", sparse_ok=True,
+            ) as half:  # fmt: skip
+                for done, window in enumerate(parts, start=1):
+                    half.write(_halved(dataset, window, limits, nodata, empty), 1, window=window)
+                    if on_part is not None:
+                        on_part(done, total)
+                factors = [2**n for n in range(1, overview_level(*dataset.shape))]
+                if factors:
+                    _build_coarser(half, factors, made)
+            check_raster(made)
+    if on_part is not None:
+        on_part(total, total)
+    with _opened(raster) as dataset:
+        if lacks_overviews(dataset.height, dataset.width, dataset.overviews(1)):
+            target.unlink()
+            raise SourceError(str(raster), f"a {dataset.driver} file, beside which GDAL looks for no overviews", ALTERNATIVE)
+    return target
+
+
+def _build_coarser(half: DatasetWriter, factors: list[int], path: Path) -> None:
+    try:
+        half.build_overviews(factors, Resampling.average)
+    except Exception as error:  # GDAL's own errors, which rasterio gives no public base
+        raise OSError(errno.EIO, f"overviews could not be written; is the disk full? ({error})", str(path)) from error
+
+
+def _opened(raster: Path) -> rasterio.DatasetReader:
+    try:
+        with warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning):
+            return open_raster(str(raster))
+    except RasterioError:
+        raise SourceError(str(raster), "it cannot be opened", "a raster that GDAL reads") from None
+
+
+def _check(raster: Path, target: Path, dataset: rasterio.DatasetReader, nodata: float | None) -> None:
+    """Raise for what overviews of heights cannot be made of."""
+    flags = dataset.mask_flag_enums[0] if dataset.count else []
+    reasons = {
+        f"{dataset.count} bands": dataset.count != 1,
+        f"cells of type {dataset.dtypes[0] if dataset.count else None}": bool(dataset.count)
+        and np.dtype(dataset.dtypes[0]).kind not in "iuf",
+        "a mask beside its cells": MaskFlags.per_dataset in flags or MaskFlags.alpha in flags,
+        "overviews in the file itself, which go before those beside it": bool(
+            dataset.count and dataset.overviews(1) and not target.is_file()
+        ),
+    }
+    for reason, there in reasons.items():
+        if there:
+            raise SourceError(str(raster), reason, f"one band of heights without overviews; {ALTERNATIVE}")
+    dtype = np.dtype(dataset.dtypes[0])
+    if nodata is not None and dtype.kind in "iu":
+        limits = np.iinfo(dtype)
+        if not (float(nodata).is_integer() and limits.min <= nodata <= limits.max):
+            raise InputError("--nodata", f"{nodata:g}", f"a value that the raster's cells can have, of the type {dtype}")
+
+
+def _plausible(dataset: rasterio.DatasetReader) -> tuple[float, float]:
+    """The least and the greatest value of a cell that is taken for a height."""
+    scale, offset = dataset.scales[0], dataset.offsets[0]
+    unit_m = METRES_PER_UNIT[units_of(dataset, crs_of(dataset.name, dataset)) or "m"]
+    low, high = sorted((limit / unit_m - offset) / scale for limit in PLAUSIBLE_M)
+    return low, high
+
+
+def _empty_value(dtype: np.dtype, limits: tuple[float, float], nodata: float | None) -> float | None:
+    """What cells of an overview have where there is no height: what is told from one by itself. ``None`` where all are heights."""
+    if nodata is not None:
+        return nodata
+    if dtype.kind == "f":
+        return float("nan")
+    bounds = np.iinfo(dtype).min, np.iinfo(dtype).max
+    return next((float(value) for value in bounds if not limits[0] <= value <= limits[1]), None)
+
+
+def _parts(rows: int, cols: int) -> Iterator[Window]:
+    """Windows of whole tiles, all of a raster."""
+    wide = TILE_CELLS * TILES_AT_A_TIME
+    for row in range(0, rows, TILE_CELLS):
+        for col in range(0, cols, wide):
+            yield Window(col, row, min(wide, cols - col), min(TILE_CELLS, rows - row))
+
+
+def _halved(
+    dataset: rasterio.DatasetReader, window: Window, limits: tuple[float, float], nodata: float | None, empty: float | None
+) -> np.ndarray:
+    """Cells of the first overview, from twice as many a side of the raster."""
+    row, col = 2 * window.row_off, 2 * window.col_off
+    below = Window(col, row, min(2 * window.width, dataset.width - col), min(2 * window.height, dataset.height - row))
+    try:
+        values = dataset.read(1, window=below)
+    except RasterioError:
+        raise SourceError(dataset.name, "a part that cannot be read", "an undamaged file") from None
+    none = [value for value in (dataset.nodata, nodata) if value is not None and not np.isnan(value)]
+    first, second = (none * 2)[:2] if none else (np.nan, np.nan)
+    means = _means(values, limits[0], limits[1], first, second, np.nan if empty is None else float(empty))
+    return (np.rint(means) if values.dtype.kind in "iu" else means).astype(values.dtype)
+
+
+@compiled
+def _means(values, low, high, nodata, other, empty):
+    """Means of 2 x 2 cells, those at the border of as many as there are, without what is no height; ``empty`` where nothing is."""
+    rows, cols = values.shape
+    out = np.empty(((rows + 1) // 2, (cols + 1) // 2))
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            total, count = 0.0, 0
+            for y in range(2 * i, min(2 * i + 2, rows)):
+                for x in range(2 * j, min(2 * j + 2, cols)):
+                    value = np.float64(values[y, x])
+                    if value >= low and value <= high and value != nodata and value != other:
+                        total += value
+                        count += 1
+            out[i, j] = total / count if count > 0 else empty
+    return out

@@ -1,0 +1,211 @@
+"""Tasks drawn by a Dask cluster: https://distributed.dask.org.
+
+Dask hands out tasks, each a few numbers, and gets back where their tiles went: pictures go to the shards' place and never through
+the graph. Every Dask worker keeps one render process, for an OpenGL context may not move between threads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import time as clock
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from queue import Empty, Queue
+from threading import Lock
+from typing import Any
+
+from api.seed.drawing import Drawn
+from api.seed.render_process import Begun, NotDrawn, RenderProcess
+from api.seed.run_spec import RunSpec, Task
+from api.seed.storage import store_at
+from terrain.errors import GraphicsError, InputError, RenderError
+
+NOBODY_S = 120.0
+"""How long it is waited for a scheduler that has gone, and for the first worker: they may be started anew."""
+
+WORKERS_EVERY_S = 1.0
+"""How often it is looked which workers there are."""
+
+AHEAD = 2
+"""Tasks that a worker has: one that it draws and one that it finds at once when that is done."""
+
+log = logging.getLogger("skugga")
+
+
+class DaskCluster:
+    """The workers of a cluster, by the address of its scheduler. Raises ``InputError`` where there is none."""
+
+    def __init__(self, spec: RunSpec, shards: str, address: str, nobody_s: float = NOBODY_S) -> None:
+        try:
+            import distributed
+        except ImportError:
+            raise InputError("--scheduler", address, "pip install 'skugga[cluster]'") from None
+        self._distributed: Any = distributed
+        self._address, self._shards, self._nobody_s = address, shards, nobody_s
+        content = spec.model_dump_json().encode()
+        self._spec = f"run-{hashlib.blake2b(content, digest_size=8).hexdigest()}.json"
+        store_at(shards).write(self._spec, content)
+        self._running: dict[int, tuple[Task, Any]] = {}
+        self._news: Queue[tuple[int, Any]] = Queue()
+        self._refused: dict[str, str] = {}
+        self._workers: list[str] = []
+        self._looked, self._seen = -WORKERS_EVERY_S, clock.monotonic()
+        try:
+            self._client: Any = self._distributed.Client(address, timeout=10.0, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise InputError("--scheduler", address, f"the address of a Dask scheduler that answers ({_short(error)})") from None
+
+    def free(self) -> int:
+        """As the protocol says."""
+        return max(AHEAD * len(self._able()) - len(self._running), 0)
+
+    def submit(self, task: Task) -> None:
+        """As the protocol says."""
+        able = self._able()
+        future = self._client.submit(
+            draw_on_worker, self._shards, self._spec, tuple(task), pure=False, retries=0, workers=able if self._refused else None
+        )
+        self._running[task.id] = task, future
+        future.add_done_callback(lambda done, number=task.id: self._news.put((number, done)))
+
+    def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
+        """As the protocol says."""
+        self._look_for_workers()
+        outcomes: list[Drawn | NotDrawn] = []
+        until = clock.monotonic() + timeout_s
+        while not outcomes and (left := until - clock.monotonic()) > 0.0:
+            try:
+                number, future = self._news.get(timeout=min(left, WORKERS_EVERY_S))
+            except Empty:
+                self._look_for_workers()
+                continue
+            if number not in self._running or self._running[number][1] is not future:
+                continue
+            task = self._running[number][0]
+            if future.cancelled() or future.status == "lost":
+                self._reach_again()
+                continue
+            outcomes += self._outcome(task, future)
+        return outcomes
+
+    def close(self) -> None:
+        """As the protocol says. The cluster goes on without this run."""
+        self._client.cancel([future for _, future in self._running.values()])
+        self._client.close(timeout=5.0)
+        with suppress(OSError):
+            store_at(self._shards).delete([self._spec])
+
+    def _outcome(self, task: Task, future: Any) -> list[Drawn | NotDrawn]:
+        del self._running[task.id]
+        if future.status != "finished":
+            return [NotDrawn(task.id, f"its Dask worker ended in the middle of it: {_short(future.exception())}", "died")]
+        said: Drawn | NotDrawn = future.result()
+        if isinstance(said, NotDrawn) and said.how == "refused":
+            log.warning("worker %s is refused: %s", said.worker, said.error)
+            self._refused[said.worker] = said.error
+            if not self._able():
+                raise GraphicsError(f"no worker of the cluster can draw this run: {said.error}")
+            self.submit(task)
+            return []
+        return [said]
+
+    def _able(self) -> list[str]:
+        return [worker for worker in self._workers if worker not in self._refused]
+
+    def _look_for_workers(self) -> None:
+        """Find which workers there are. Raises ``RenderError`` where there has been none for long."""
+        now = clock.monotonic()
+        if now - self._looked < WORKERS_EVERY_S:
+            return
+        self._looked = now
+        if self._client.status != "running":
+            self._reach_again()
+            return
+        try:
+            self._workers = sorted(self._client.nthreads())
+        except (OSError, ValueError, TimeoutError):
+            self._reach_again()
+            return
+        if self._workers:
+            self._seen = now
+        elif now - self._seen > self._nobody_s:
+            raise RenderError(f"{self._address}: no worker has come within {self._nobody_s:g} s; what was drawn is kept")
+
+    def _reach_again(self) -> None:
+        """Wait for a scheduler that has gone, and give it the tasks that it had. Raises ``RenderError``."""
+        lost = [task for task, _ in self._running.values()]
+        self._running = {}
+        log.warning("the scheduler %s does not answer; %d tasks are given to it again when it does", self._address, len(lost))
+        with suppress(Exception):  # it has nobody to say goodbye to
+            self._client.close(timeout=1.0)
+        until = clock.monotonic() + self._nobody_s
+        while True:
+            try:
+                self._client = self._distributed.Client(self._address, timeout=5.0, set_as_default=False)
+                break
+            except (OSError, ValueError) as error:
+                if clock.monotonic() > until:
+                    raise RenderError(
+                        f"{self._address}: the scheduler has not come back within {self._nobody_s:g} s ({_short(error)}); "
+                        f"what was drawn is kept"
+                    ) from None
+                clock.sleep(1.0)
+        self._workers = sorted(self._client.nthreads())
+        self._seen, self._refused = clock.monotonic(), {}
+        for task in lost:
+            self.submit(task)
+
+
+class _KeptProcess:
+    """The render process of a Dask worker: of the run that it draws for."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._run: tuple[str, str] | None = None
+        self._process: RenderProcess | None = None
+
+    def draw(self, shards: str, spec: str, task: Task) -> Drawn | NotDrawn:
+        """A task of a run, drawn now."""
+        with self._lock:
+            try:
+                process = self._of((shards, spec))
+                process.draw(task)
+                said = process.hear()
+                assert not isinstance(said, Begun)
+                return said
+            except GraphicsError as error:
+                self._end()
+                return NotDrawn(task.id, str(error), "refused")
+            except EOFError:
+                self._end()
+                return NotDrawn(task.id, "its render process ended in the middle of it", "died")
+
+    def _of(self, run: tuple[str, str]) -> RenderProcess:
+        if self._process is None or self._run != run:
+            self._end()
+            spec = RunSpec.model_validate_json(store_at(run[0]).read(run[1]))
+            self._process, self._run = RenderProcess(spec, run[0], {"LP_NUM_THREADS": "1"}), run
+            self._process.hear()
+        return self._process
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._process.end()
+        self._process = None
+
+
+_kept = _KeptProcess()
+
+
+def draw_on_worker(shards: str, spec: str, task: tuple[Any, ...]) -> Drawn | NotDrawn:
+    """What a Dask worker runs: a task of the run whose ``RunSpec`` lies with the shards under a name."""
+    from distributed import get_worker
+
+    said = _kept.draw(shards, spec, Task(*task))
+    return replace(said, worker=get_worker().address)
+
+
+def _short(error: object) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -1,0 +1,161 @@
+"""Rasters of 2,500 to 100,000 cells a side over the same real relief, made in a folder for ``benchmarks.big_elevation``.
+
+A raster of mountains, mirrored, becomes a *sheet* of ``SHEET`` cells a side that fits on to itself on all sides. Every raster
+repeats it with the same cell of it in the middle, at one place of one CRS: what is round the middle is the same ground in all.
+
+Up to 40,000 cells a side these are COGs. The one of 100,000 is a virtual raster of 2,377 parts, each a file of its own (hard links,
+so that the disk holds their cells once); 24 more are left out (sparse). ``skugga overviews`` gives it its overviews. In one of its
+corners lies a plain with one mountain.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import rasterio
+from affine import Affine
+from pyproj import CRS
+from rasterio.enums import Resampling
+
+from api.raster_file import cog
+
+SHEET = 2048
+"""Cells a side of a sheet: a power of two, so that cells of all its overviews meet those of its neighbours."""
+
+CELL_M = 30.0
+EPSG = 32611
+MIDDLE_XY = 500_000.0, 3_800_000.0
+"""Where the middle of every raster lies."""
+
+VRT_CELLS = 100_000
+COG_SIDES = 2_500, 10_000, 40_000
+PARTS = -(-VRT_CELLS // SHEET)
+
+NODATA = -32768
+PLAIN_M, MOUNTAIN_M = 500, 4000
+PLAIN_PARTS, MOUNTAIN_PART = (slice(4, 9), slice(4, 9)), (6, 7)
+"""Rows and columns of the parts that are a plain, and the one whose middle is the mountain's foot."""
+
+MOUNTAIN_SIGMA_CELLS = 60.0
+HOLES = slice(30, 34), slice(40, 46)
+"""Rows and columns of the parts that are left out."""
+
+STRIP_ROWS = 1024
+
+
+@dataclass(frozen=True)
+class BigRaster:
+    """A raster that was made: its file, cells a side, and how long that took, seconds (0: it was there)."""
+
+    path: Path
+    side: int
+    made_s: float
+
+
+def sheet_of(raster: Path) -> np.ndarray:
+    """A sheet (SHEET, SHEET) of int16 metres from a raster's first band, mirrored and repeated: it fits on to itself."""
+    with rasterio.open(raster) as dataset:
+        heights = dataset.read(1, masked=True)[8:-8, 8:-8].astype(np.float64)
+    quarter = np.ma.filled(heights, heights.mean())
+    for axis in (0, 1):  # as many mirror images as a quarter needs
+        while quarter.shape[axis] < SHEET // 2:
+            quarter = np.concatenate([quarter, np.flip(quarter, axis)], axis)
+    quarter = np.rint(quarter[: SHEET // 2, : SHEET // 2]).astype(np.int16)
+    half = np.concatenate([quarter, quarter[:, ::-1]], axis=1)
+    return np.concatenate([half, half[::-1]], axis=0)
+
+
+def transform_of(side: int) -> Affine:
+    """The geotransform of a raster of so many cells a side round the middle."""
+    half_m = side / 2 * CELL_M
+    return Affine(CELL_M, 0.0, MIDDLE_XY[0] - half_m, 0.0, -CELL_M, MIDDLE_XY[1] + half_m)
+
+
+def make_cog(folder: Path, sheet: np.ndarray, side: int) -> BigRaster:
+    """A COG of so many cells a side, deflated, with overviews; written strip by strip."""
+    path, start = folder / f"relief_{side}.tif", time.perf_counter()
+    if path.is_file():
+        return BigRaster(path, side, 0.0)
+    phase = (VRT_CELLS - side) // 2 % SHEET  # the virtual raster's sheets begin at its corner
+    cols = (np.arange(side) + phase) % SHEET
+    with cog(path, CRS.from_epsg(EPSG), transform_of(side), (side, side), 1, "int16", NODATA, smooth=True) as file:
+        for row in range(0, side, STRIP_ROWS):
+            rows = (np.arange(row, min(row + STRIP_ROWS, side)) + phase) % SHEET
+            file.write(row, 0, sheet[np.ix_(rows, cols)])
+    return BigRaster(path, side, time.perf_counter() - start)
+
+
+def _write_sheet(path: Path, sheet: np.ndarray) -> None:
+    with rasterio.open(
+        path, "w", driver="GTiff", width=SHEET, height=SHEET, count=1, dtype="int16", crs=f"EPSG:{EPSG}", nodata=NODATA,
+        transform=transform_of(SHEET), tiled=True, blockxsize=512, blockysize=512, compress="deflate",
+    ) as dataset:  # fmt: skip
+        dataset.write(sheet, 1)
+        dataset.build_overviews([2**level for level in range(1, 10)], Resampling.average)
+
+
+def mountain_m() -> np.ndarray:
+    """The mountain's sheet: a round hill on the plain."""
+    away = np.arange(SHEET) - SHEET / 2 + 0.5
+    bell = np.exp(-(away[:, None] ** 2 + away[None, :] ** 2) / (2.0 * MOUNTAIN_SIGMA_CELLS**2))
+    return np.rint(PLAIN_M + MOUNTAIN_M * bell).astype(np.int16)
+
+
+def mountain_xy() -> tuple[float, float]:
+    """Where the mountain's top is, in the rasters' CRS."""
+    row, col = ((index + 0.5) * SHEET for index in MOUNTAIN_PART)
+    return transform_of(VRT_CELLS) * (col, row)
+
+
+def make_vrt(folder: Path, sheet: np.ndarray) -> BigRaster:
+    """The virtual raster of ``VRT_CELLS`` a side."""
+    path, start = folder / f"relief_{VRT_CELLS}.vrt", time.perf_counter()
+    if path.is_file():
+        return BigRaster(path, VRT_CELLS, 0.0)
+    parts = folder / "parts"
+    parts.mkdir(exist_ok=True)
+    sheets = {"relief": sheet, "plain": np.full_like(sheet, PLAIN_M), "mountain": mountain_m()}
+    for name, heights in sheets.items():
+        _write_sheet(parts / f"{name}.tif", heights)
+    root = ElementTree.Element("VRTDataset", rasterXSize=str(VRT_CELLS), rasterYSize=str(VRT_CELLS))
+    ElementTree.SubElement(root, "SRS").text = f"EPSG:{EPSG}"
+    ElementTree.SubElement(root, "GeoTransform").text = ", ".join(map(repr, transform_of(VRT_CELLS).to_gdal()))
+    band = ElementTree.SubElement(root, "VRTRasterBand", dataType="Int16", band="1")
+    ElementTree.SubElement(band, "NoDataValue").text = str(NODATA)
+    for row in range(PARTS):
+        for col in range(PARTS):
+            if _within(HOLES, row, col):
+                continue
+            kind = "mountain" if (row, col) == MOUNTAIN_PART else "plain" if _within(PLAIN_PARTS, row, col) else "relief"
+            part = parts / f"part_{row:02}_{col:02}.tif"
+            part.unlink(missing_ok=True)
+            os.link(parts / f"{kind}.tif", part)
+            source = ElementTree.SubElement(band, "ComplexSource")
+            ElementTree.SubElement(source, "SourceFilename", relativeToVRT="1").text = f"parts/{part.name}"
+            ElementTree.SubElement(source, "SourceBand").text = "1"
+            ElementTree.SubElement(
+                source, "SourceProperties", RasterXSize=str(SHEET), RasterYSize=str(SHEET), DataType="Int16", BlockXSize="512",
+                BlockYSize="512",
+            )  # fmt: skip
+            size = {"xSize": str(min(SHEET, VRT_CELLS - col * SHEET)), "ySize": str(min(SHEET, VRT_CELLS - row * SHEET))}
+            ElementTree.SubElement(source, "SrcRect", xOff="0", yOff="0", **size)
+            ElementTree.SubElement(source, "DstRect", xOff=str(col * SHEET), yOff=str(row * SHEET), **size)
+            ElementTree.SubElement(source, "NODATA").text = str(NODATA)
+    ElementTree.ElementTree(root).write(path)
+    return BigRaster(path, VRT_CELLS, time.perf_counter() - start)
+
+
+def _within(part: tuple[slice, slice], row: int, col: int) -> bool:
+    return part[0].start <= row < part[0].stop and part[1].start <= col < part[1].stop
+
+
+def make_rasters(folder: Path, raster: Path) -> list[BigRaster]:
+    """All of them, in order of size; those that are there stay."""
+    folder.mkdir(parents=True, exist_ok=True)
+    sheet = sheet_of(raster)
+    return [*(make_cog(folder, sheet, side) for side in COG_SIDES), make_vrt(folder, sheet)]

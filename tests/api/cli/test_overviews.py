@@ -1,0 +1,178 @@
+"""``skugga overviews``: what is written beside a raster, for which rasters, and what is refused."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.windows import Window
+
+from api import overviews as module
+from terrain.errors import SourceError
+from terrain.ground import overview
+from terrain.ground.elevation import Elevation
+from tests.rasters import write_geotiff
+
+ROWS, COLS = 1101, 1300
+SENTINEL = -32768
+
+
+@pytest.fixture(autouse=True)
+def a_small_raster_is_big(monkeypatch):
+    monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 300_000)
+    monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 300_000)
+    monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
+    monkeypatch.setattr(overview, "MOST_CELLS_READ", 500_000)
+
+
+def relief(dtype=np.int16) -> np.ndarray:
+    row, col = np.mgrid[:ROWS, :COLS]
+    return (700 + 500 * np.sin(col / 200) * np.cos(row / 300)).astype(dtype)
+
+
+def raster_of(folder: Path, heights: np.ndarray, **options) -> Path:
+    options = {"tiled": True, **options}
+    return write_geotiff(folder / "dem.tif", heights, "EPSG:32633", 500e3, 5200e3, 30.0, **options)
+
+
+def mosaic_of(path: Path) -> Path:
+    """A virtual raster of two parts: the west and the east of a raster."""
+    with rasterio.open(path) as dataset:
+        heights, transform, crs = dataset.read(1), dataset.transform, dataset.crs.to_wkt()
+    for name, part in {"west.tif": heights[:, :700], "east.tif": heights[:, 700:]}.items():
+        write_geotiff(path.with_name(name), part, "EPSG:32633", 0, 0, 30.0, tiled=True)
+    sources = "".join(
+        f'<SimpleSource><SourceFilename relativeToVRT="1">{name}</SourceFilename><SourceBand>1</SourceBand>'
+        f'<SrcRect xOff="0" yOff="0" xSize="{width}" ySize="{ROWS}"/>'
+        f'<DstRect xOff="{first}" yOff="0" xSize="{width}" ySize="{ROWS}"/></SimpleSource>'
+        for name, first, width in (("west.tif", 0, 700), ("east.tif", 700, COLS - 700))
+    )
+    text = (
+        f'<VRTDataset rasterXSize="{COLS}" rasterYSize="{ROWS}"><SRS>{crs}</SRS><GeoTransform>'
+        f"{', '.join(map(str, transform.to_gdal()))}</GeoTransform>"
+        f'<VRTRasterBand dataType="Int16" band="1">{sources}</VRTRasterBand></VRTDataset>'
+    )
+    (path.with_name("mosaic.vrt")).write_text(text, encoding="utf-8")
+    return path.with_name("mosaic.vrt")
+
+
+@pytest.mark.parametrize("kind", ["tif", "vrt"])
+def test_the_refusal_names_the_command_and_the_command_helps(run, tmp_path, kind):
+    path = raster_of(tmp_path, relief())
+    path = mosaic_of(path) if kind == "vrt" else path
+    before = path.read_bytes()
+    with pytest.raises(SourceError) as refused:
+        Elevation(str(path))
+    assert f"'skugga overviews {path}'" in str(refused.value) and "gdaladdo" in str(refused.value)
+    names = {each.name for each in tmp_path.iterdir()}
+    assert run("overviews", str(path)) == (0, f"Wrote {path}.ovr\n", "")
+    assert path.read_bytes() == before
+    assert {each.name for each in tmp_path.iterdir()} == names | {f"{path.name}.ovr"}
+    elevation = Elevation(str(path))
+    with rasterio.open(path) as dataset:
+        assert dataset.overviews(1) == [2, 4, 8, 16, 32]
+    heights = relief().astype(float)
+    means = heights[: 34 * 32, : 40 * 32].reshape(34, 32, 40, 32).mean((1, 3))
+    error = np.abs(elevation.overview.heights_m - means)
+    # GDAL takes an overview's 41 columns for 1300 cells, not for 41 x 32: cells are a fraction of one off.
+    assert error.max() < 0.2 * np.abs(np.diff(means)).max() and error[:8, :8].max() < 2.0
+    assert run("overviews", str(path)) == (0, f"{path.name} has overviews of 2, 4, 8, 16, 32 cells, and needs no others\n", "")
+
+
+def test_the_last_row_of_an_odd_number_is_the_mean_of_what_there_is(run, tmp_path):
+    path = raster_of(tmp_path, relief())
+    run("overviews", str(path))
+    with rasterio.open(path, OVERVIEW_LEVEL=0) as dataset:
+        found = dataset.read(1)
+    assert found.shape == (551, 650)
+    last = relief()[-1].astype(float)
+    np.testing.assert_array_equal(found[-1], np.rint((last[::2] + last[1::2]) / 2))
+    first = relief()[:2].astype(float)
+    np.testing.assert_array_equal(found[0], np.rint((first[:, ::2] + first[:, 1::2]).sum(0) / 4))
+
+
+@pytest.mark.parametrize("marked", [True, False])
+@pytest.mark.parametrize("dtype", [np.int16, np.float32])
+def test_what_is_no_height_is_in_no_mean(run, tmp_path, marked, dtype):
+    heights = relief(dtype)
+    heights[100:301, 200:401] = SENTINEL
+    path = raster_of(tmp_path, heights, nodata=SENTINEL if marked else None)
+    assert run("overviews", str(path))[0] == 0
+    for level in range(5):
+        with rasterio.open(path, OVERVIEW_LEVEL=level) as dataset:
+            found = dataset.read(1, masked=True).astype(float).filled(np.nan)
+        there = (found >= 200) & (found <= 1200)
+        assert np.isnan(found[~there]).all() or (found[~there] == SENTINEL).all()
+        side = 2 ** (level + 1)
+        inside = max(200 / side - 2, 0) ** 2, (200 / side + 1) ** 2  # a cell with a height below it has one
+        assert inside[0] <= (~there).sum() <= inside[1]
+    elevation = Elevation(str(path))
+    assert np.nanmin(elevation.overview.heights_m) >= 199.0
+
+
+def test_a_value_that_only_the_caller_knows_to_be_none(run, tmp_path):
+    heights = relief()
+    heights[100:301, 200:401] = 0
+    path = raster_of(tmp_path, heights)
+    assert run("overviews", str(path), "--nodata", "0")[0] == 0
+    with rasterio.open(path, OVERVIEW_LEVEL=2) as dataset:
+        found = dataset.read(1)
+    assert set(np.unique(found[found < 190])) == {0}
+    status, _, err = run("overviews", str(raster_of(tmp_path, relief())), "--nodata", "0.5")
+    assert status == 2 and "--nodata" in err and "int16" in err
+
+
+def test_a_small_raster_needs_none(run, tmp_path):
+    path = raster_of(tmp_path, relief()[:300, :400])
+    status, out, err = run("overviews", str(path))
+    assert (status, err) == (0, "") and "needs no overviews: 400 x 300 cells" in out
+    assert [each.name for each in tmp_path.iterdir()] == ["dem.tif"]
+
+
+def test_what_cannot_have_them_is_refused_with_another_way(run, tmp_path):
+    two = write_geotiff(tmp_path / "two.tif", np.stack([relief(), relief()]), "EPSG:32633", 500e3, 5200e3, 30.0)
+    inner = shutil.copy(raster_of(tmp_path, relief()), tmp_path / "inner.tif")
+    with rasterio.open(inner, "r+") as dataset:
+        dataset.build_overviews([2])
+    masked = shutil.copy(tmp_path / "dem.tif", tmp_path / "masked.tif")
+    with rasterio.open(masked, "r+") as dataset:
+        dataset.write_mask(np.tri(ROWS, COLS) > 0)
+    names = {each.name for each in tmp_path.iterdir()}
+    for path, word in ((two, "2 bands"), (inner, "overviews in the file itself"), (masked, "a mask")):
+        status, out, err = run("overviews", str(path))
+        assert status == 2 and out == "" and word in err and "gdaladdo" in err and err.count("\n") == 1
+    text = tmp_path / "text.tif"
+    text.write_text("no raster")
+    assert run("overviews", str(text))[0] == 2
+    assert {each.name for each in tmp_path.iterdir()} == names | {"text.tif"}
+
+
+def test_older_ones_that_are_too_few_are_replaced_whole(run, tmp_path, tmp_path_factory, monkeypatch):
+    path = raster_of(tmp_path, relief())
+    half = raster_of(tmp_path_factory.mktemp("half"), relief()[::2, ::2])
+    shutil.copy(half, f"{path}.ovr")
+    with rasterio.open(path) as dataset:
+        assert dataset.overviews(1) == [2]
+    older = Path(f"{path}.ovr").read_bytes()
+
+    def fails(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "_build_coarser", fails)
+        status, _, err = run("overviews", str(path))
+    assert status == 1 and "No space left" in err
+    assert Path(f"{path}.ovr").read_bytes() == older and len(list(tmp_path.iterdir())) == 2
+    assert run("overviews", str(path))[0] == 0
+    assert Path(f"{path}.ovr").read_bytes() != older
+
+
+def test_parts_cover_the_raster_once():
+    seen = np.zeros((1300, 9000), int)
+    for window in module._parts(*seen.shape):
+        assert isinstance(window, Window) and window.row_off % 512 == window.col_off % 512 == 0
+        seen[window.toslices()] += 1
+    assert (seen == 1).all()

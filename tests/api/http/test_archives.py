@@ -1,0 +1,390 @@
+"""Archives of tiles: served by themselves, and in place of drawing a level's tiles."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import struct
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import pytest
+from pmtiles.reader import MmapSource, all_tiles
+from pmtiles.tile import Compression, TileType, tileid_to_zxy
+from pmtiles.writer import Writer
+
+from api.errors import ArchiveError
+from api.http import archive_file
+from api.http.app import create_app
+from api.http.archive_file import ArchiveFile
+from api.http.served_archives import in_utc
+from api.seed.archive import first_tile_id
+from api.settings import Settings
+from terrain.errors import InputError, LevelError
+from terrain.level.level import load_level
+from tests.api.conftest import CORNER, PNG, ZOOM, Client, running, write_level, write_tiles
+from tests.api.http.test_problems import check_problem
+from tests.api.seed.pmtiles_checker import MAGIC, place_of
+from tests.api.workers import fake_workers
+
+X, Y = CORNER
+TILES = "/levels/hills/tiles/WebMercatorQuad"
+TIME = "2024-06-21T16:00:00+00:00"
+
+
+def tile_of(number: int) -> bytes:
+    """A content that no other number has."""
+    return MAGIC["png"] + number.to_bytes(8, "big") + bytes(40)
+
+
+def replaced(path: Path, content: bytes) -> None:
+    """Give a file another content as programs do that never leave half of one."""
+    part = path.with_suffix(".part")
+    part.write_bytes(content)
+    os.replace(part, path)
+
+
+@pytest.fixture
+def serve(tmp_path: Path) -> Callable[..., object]:
+    """``serve(keys, archives, **settings)`` is a service of ``hills`` with keys, whose one render process draws nothing."""
+
+    def make(keys: dict | None, archives: list[Path] = [], **settings) -> object:  # noqa: B006
+        levels = [] if keys is None else [write_level(tmp_path, "hills", **keys)]
+        settings = {"level_check_s": 0.0, "tile_cache_bytes": 0} | settings
+        return running(create_app(Settings(workers=1, **settings), levels, fake_workers.obedient, archives=archives))
+
+    return make
+
+
+def drawn(client: Client) -> int:
+    """How many blocks render processes have drawn."""
+    return client.service.pool.tally.answered
+
+
+def test_a_level_s_archived_tile_is_the_rendered_one(client: Client, serve, tmp_path: Path):
+    """Rendered by one service, written, and served by another one that draws nothing: the same bytes under each canonical query."""
+    queries = {"a": {"layer": "shadow"}, "b": {"layer": "color", "time": TIME}, "c": {"layer": "terrarium"}}
+    places = [(ZOOM, X + col, Y + row) for row in (-1, 0) for col in (-1, 0)]
+    rendered = {
+        name: {(z, x, y): client.get(f"{TILES}/{z}/{x}/{y}.png", params=query).content for z, x, y in places}
+        for name, query in queries.items()
+    }
+    for name, query in queries.items():
+        said = {"layer": query["layer"], "query": f"time={TIME.replace(':', '%3A').replace('+', '%2B')}" if "time" in query else ""}
+        write_tiles(tmp_path / f"{name}.pmtiles", rendered[name], **said)
+    with serve({"archive": [f"{name}.pmtiles" for name in queries]}) as served:
+        for name, query in queries.items():
+            for (z, x, y), body in rendered[name].items():
+                answer = served.get(f"{TILES}/{z}/{x}/{y}.png", params=query)
+                assert (answer.status_code, answer.content) == (200, body) and body.startswith(MAGIC["png"])
+                assert answer.headers["content-type"] == "image/png" and "archive" in answer.headers["server-timing"]
+        # The same instant in another spelling; heights hang on no sun.
+        other = served.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", params={"time": "2024-06-21T18:00:00+02:00"})
+        assert other.content == rendered["b"][ZOOM, X, Y] and other.headers["x-skugga-time"] == "2024-06-21T18:00:00+02:00"
+        high = served.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", params={"layer": "terrarium", "time": TIME})
+        assert high.content == rendered["c"][ZOOM, X, Y]
+        assert drawn(served) == 0
+
+
+def test_what_the_archive_does_not_say_is_drawn(serve, tmp_path: Path):
+    write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): PNG}, layer="shadow")
+    with serve({"archive": "a.pmtiles"}) as client:
+        assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png?layer=shadow").content == PNG
+        assert drawn(client) == 0
+        for count, (address, query) in enumerate(
+            [
+                (f"{ZOOM}/{X}/{Y}.png", {}),
+                (f"{ZOOM}/{X}/{Y}.webp", {"layer": "shadow"}),
+                (f"{ZOOM}/{X}/{Y}.png", {"layer": "shadow", "time": TIME}),
+                (f"{ZOOM}/{X}/{Y}.png", {"layer": "shadow", "map_size": "512"}),
+                (f"{ZOOM}/{X}/{Y}@2x.png", {"layer": "shadow"}),
+                (f"{ZOOM + 1}/{2 * X}/{2 * Y}.png", {"layer": "shadow", "time": TIME}),
+            ],
+            start=1,
+        ):
+            answer = client.get(f"{TILES}/{address}", params=query)
+            assert answer.status_code == 200 and answer.content != PNG, address
+            assert drawn(client) == count, address
+
+
+def test_another_matrix_set_is_drawn(serve, tmp_path: Path):
+    write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): PNG}, tms="WorldCRS84Quad")
+    with serve({"archive": "a.pmtiles"}) as client:
+        assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content != PNG
+
+
+def test_the_first_of_two_archives_counts(serve, tmp_path: Path):
+    write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): tile_of(1)})
+    write_tiles(tmp_path / "b.pmtiles", {(ZOOM, X, Y): tile_of(2)})
+    with serve({"archive": ["b.pmtiles", "a.pmtiles"]}) as client:
+        assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content == tile_of(2)
+
+
+def test_a_client_that_has_the_tile_is_told_so(serve, tmp_path: Path):
+    write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): tile_of(1), (ZOOM, X, Y - 1): tile_of(2)})
+    with serve({"archive": "a.pmtiles"}) as client:
+        answer = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", headers={"Origin": "https://map.example"})
+        assert answer.headers["cache-control"] == "public, max-age=3600"
+        assert answer.headers["access-control-allow-origin"] == "*"
+        again = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", headers={"If-None-Match": answer.headers["etag"]})
+        assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", answer.headers["etag"])
+        assert client.get(f"{TILES}/{ZOOM}/{X}/{Y - 1}.png").headers["etag"] != answer.headers["etag"]
+        head = client.head(f"{TILES}/{ZOOM}/{X}/{Y}.png")
+        assert (head.status_code, head.content, head.headers["etag"]) == (200, b"", answer.headers["etag"])
+
+
+@pytest.mark.parametrize(("setting", "status"), [("transparent", 200), ("204", 204), ("404", 404)])
+def test_a_tile_that_the_archive_lacks_is_empty(serve, tmp_path: Path, setting: str, status: int):
+    path = write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): tile_of(1)})
+    with serve({"archive": "a.pmtiles"}, empty_tile=setting) as client:
+        answer = client.get(f"{TILES}/{ZOOM}/{X - 1}/{Y}.png")
+        assert answer.status_code == status and drawn(client) == 0
+        if status == 404:
+            check_problem(answer, 404, "not_found", "x")
+            return
+        if status == 200:
+            assert answer.content == client.get(f"{TILES}/{ZOOM}/{X + 50}/{Y}.png").content
+        write_tiles(path, {(ZOOM, X, Y): tile_of(1), (ZOOM, X - 1, Y): tile_of(2)})
+        filled = client.get(f"{TILES}/{ZOOM}/{X - 1}/{Y}.png", headers={"If-None-Match": answer.headers["etag"]})
+        assert (filled.status_code, filled.content) == (200, tile_of(2))
+        path.unlink()  # and drawn, it has a tag of its own
+        assert client.get(f"{TILES}/{ZOOM}/{X - 1}/{Y}.png").headers["etag"] not in (answer.headers["etag"], filled.headers["etag"])
+
+
+def test_a_replaced_archive_is_gone_over_to(serve, tmp_path: Path, capfd):
+    """Also where tiles that were drawn are kept: an address that was drawn before is answered by the archive then, and back."""
+    path = write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): tile_of(1)}, layer="shadow")
+    address = f"{TILES}/{ZOOM}/{X}/{Y}.png"
+    with serve({"archive": "a.pmtiles"}, tile_cache_bytes=2**20, level_check_s=0.05) as client:
+
+        def until(content: bytes) -> httpx.Response:
+            for _ in range(200):
+                answer = client.get(address)
+                assert answer.status_code == 200
+                if answer.content == content:
+                    return answer
+            raise AssertionError("the service has not gone over")
+
+        version = client.service.levels.known()[0].version
+        by_drawing = client.get(address).content
+        assert client.get(address).content == by_drawing and client.service.tiles.hits > 0
+        other = tmp_path / "other.pmtiles"
+        replaced(path, write_tiles(other, {(ZOOM, X, Y): tile_of(2)}).read_bytes())
+        second = until(tile_of(2))
+        replaced(path, write_tiles(other, {(ZOOM, X, Y): tile_of(3)}).read_bytes())
+        third = until(tile_of(3))
+        assert second.headers["etag"] != third.headers["etag"]
+        replaced(path, b"PMTiles\x02")
+        until(by_drawing)
+        replaced(path, other.read_bytes())
+        assert until(tile_of(3)).headers["etag"] == third.headers["etag"]
+        path.unlink()
+        until(by_drawing)
+        assert client.service.levels.known()[0].version == version
+    said = capfd.readouterr().err
+    assert said.count("a.pmtiles: a PMTiles archive of version 2;") == 1, "told once"
+    assert said.count("a.pmtiles: No such file") == 1 and "its tiles are rendered" in said and "opened anew" in said
+
+
+def test_a_leaf_that_breaks_later_is_told_of_and_drawn(serve, tmp_path: Path, monkeypatch, capfd):
+    path = write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): tile_of(1)})
+    with serve({"archive": "a.pmtiles"}, level_check_s=60.0) as client:
+        assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content == tile_of(1)
+        os.truncate(path, path.stat().st_size - 5)
+        assert client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content not in (tile_of(1), b"")
+        assert drawn(client) == 1
+    assert "a.pmtiles: cut short since it was opened" in capfd.readouterr().err
+
+
+def test_naming_an_archive_changes_no_level(tmp_path: Path):
+    without = load_level(write_level(tmp_path, "hills"))
+    named = load_level(write_level(tmp_path, "hills", archive="sub/a.pmtiles"))
+    assert without.digest == named.digest != load_level(write_level(tmp_path, "hills", seconds=1)).digest
+    assert without.archives == () and named.archives == (tmp_path / "sub" / "a.pmtiles",)
+    assert named.sources == without.sources
+    for wrong in ("https://example.org/a.pmtiles", "", ["a.pmtiles", "/vsicurl/b"], 7):
+        with pytest.raises(LevelError, match="archive"):
+            load_level(write_level(tmp_path, "hills", archive=wrong))
+
+
+def test_an_archive_lies_in_the_folders_of_data(tmp_path: Path, serve):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (tmp_path / "levels").mkdir()
+    archive = write_tiles(elsewhere / "a.pmtiles", {(ZOOM, X, Y): PNG})
+    level = write_level(tmp_path / "levels", "hills", archive=str(archive))
+    with pytest.raises(LevelError, match="in none of the folders"):
+        create_app(Settings(), [level])
+    create_app(Settings(data_roots=(elsewhere,)), [level])
+
+
+# Archives by themselves.
+
+
+def test_archives_alone_need_no_render_process(serve, tmp_path: Path):
+    tiles = {(z, x, y): tile_of(100 * z + 10 * x + y) for z in (2, 3) for x in range(3) for y in range(3)}
+    path = write_tiles(tmp_path / "sun & shade.pmtiles", tiles, layer="terrarium")
+    with serve(None, [path]) as client:
+        assert client.get("/readyz").status_code == 200 and client.service.pool.pids == set()
+        assert client.get("/levels").json() == []
+        (facts,) = client.get("/archives").json()
+        assert facts == {
+            "name": "sun & shade", "title": "Hills", "attribution": "nobody", "bounds": [8.3, 47.4, 8.6, 47.6], "minzoom": 2,
+            "maxzoom": 3, "format": "png", "layer": "terrarium",
+        }  # fmt: skip
+        told = client.get("/archives/sun & shade/tilejson.json")
+        tilejson = told.json()
+        assert told.headers["etag"] and tilejson["encoding"] == "terrarium" and tilejson["skugga"]["level"] == "hills"
+        assert (tilejson["minzoom"], tilejson["maxzoom"], tilejson["bounds"]) == (2, 3, facts["bounds"])
+        assert tilejson["center"] == pytest.approx([8.45, 47.5, 2])
+        for (z, x, y), body in tiles.items():
+            address = tilejson["tiles"][0].format(z=z, x=x, y=y)
+            answer = client.get(address, headers={"Origin": "https://map.example"})
+            assert (answer.status_code, answer.content) == (200, body)
+            assert answer.headers["access-control-allow-origin"] == "*" and "max-age" in answer.headers["cache-control"]
+            again = client.get(address, headers={"If-None-Match": answer.headers["etag"]})
+            assert (again.status_code, again.content) == (304, b"")
+        assert client.get(address.replace("/3/2/2", "/3/7/7")).status_code == 204
+        asked = client.get("/openapi.json").json()["paths"]["/plan"]["post"]["requestBody"]["content"]["application/json"][
+            "example"
+        ]
+        check_problem(client.post("/plan", json=asked), 404, "not_found", "level")
+
+
+@pytest.mark.parametrize(
+    ("address", "parameter"),
+    [
+        ("nowhere/2/0/0.png", "archive"), ("nowhere/tilejson.json", "archive"), ("a/1/0/0.png", "z"), ("a/4/0/0.png", "z"),
+        ("a/2/4/0.png", "x"), ("a/2/0/4.png", "x"), ("a/2/0/0.webp", "format"), ("a/2/0/0.gif", "format"),
+    ],
+)  # fmt: skip
+def test_what_is_outside_is_a_problem_document(serve, tmp_path: Path, address: str, parameter: str):
+    with serve(None, [write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): PNG})]) as client:
+        check_problem(client.get(f"/archives/{address}"), 404, "not_found", parameter)
+        check_problem(client.get("/archives/a/2/0/0.png?layer=color"), 422, "invalid_parameter", "layer")
+        assert client.get("/archives/a/2/0/0.png").status_code == 200
+
+
+def test_a_lacking_tile_is_404_where_the_setting_is(serve, tmp_path: Path):
+    with serve(None, [write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): PNG})], empty_tile="404") as client:
+        check_problem(client.get("/archives/a/2/1/1.png"), 404, "not_found", "x")
+
+
+def test_levels_and_archives_of_one_service(serve, tmp_path: Path):
+    path = write_tiles(tmp_path / "a.pmtiles", {(ZOOM, X, Y): PNG})
+    with serve({}, [path]) as client:
+        assert [level["name"] for level in client.get("/levels").json()] == ["hills"]
+        assert client.get(f"/archives/a/{ZOOM}/{X}/{Y}.png").content == PNG != client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png").content
+
+
+def test_an_archive_that_is_replaced_or_broken_while_it_is_served(serve, tmp_path: Path, capfd):
+    path = write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): tile_of(1)})
+    with serve(None, [path]) as client:
+        first = client.get("/archives/a/2/0/0.png")
+        replaced(path, write_tiles(tmp_path / "b.pmtiles", {(2, 0, 0): tile_of(2)}).read_bytes())
+        second = client.get("/archives/a/2/0/0.png", headers={"If-None-Match": first.headers["etag"]})
+        assert (first.content, second.content) == (tile_of(1), tile_of(2))
+        replaced(path, path.read_bytes()[:-3])
+        for _ in range(3):
+            answer = client.get("/archives/a/2/0/0.png")
+            assert answer.status_code == 500 and answer.json()["code"] == "archive" and "/" not in answer.json()["detail"]
+        assert client.get("/archives").json() == []
+        replaced(path, (tmp_path / "b.pmtiles").read_bytes())
+        assert client.get("/archives/a/2/0/0.png").content == tile_of(2)
+    assert "a.pmtiles: cut short: its tiles end at byte" in capfd.readouterr().err
+
+
+def test_two_archives_of_one_name(tmp_path: Path):
+    (tmp_path / "b").mkdir()
+    paths = [write_tiles(folder / "a.pmtiles", {(2, 0, 0): PNG}) for folder in (tmp_path, tmp_path / "b")]
+    with pytest.raises(InputError, match="files of different names"):
+        create_app(Settings(), [], archives=paths)
+
+
+# Reading.
+
+
+def many(path: Path, last_zoom: int = 7) -> dict[tuple[int, int, int], bytes]:
+    """Tiles of all zooms but for some gaps, in runs and by themselves, and an archive of them."""
+    numbers = [number for number in range(first_tile_id(last_zoom + 1)) if number % 7 and number % 1000 > 5]
+    tiles = {place_of(number): tile_of(number // 3) for number in numbers}
+    write_tiles(path, tiles)
+    return tiles
+
+
+def test_every_tile_is_found_through_leaves(tmp_path: Path):
+    tiles = many(tmp_path / "a.pmtiles", 8)
+    archive = ArchiveFile(tmp_path / "a.pmtiles")
+    assert archive.header["leaf_directory_length"] > 0
+    for number in range(0, first_tile_id(9), 3):
+        place = place_of(number)
+        assert archive.tile(*place) == tiles.get(place)
+    assert archive.tile(9, 0, 0) is None and archive.tile(2, 4, 0) is None
+    assert archive.first_tile in tiles
+
+
+def test_an_archive_that_others_wrote(tmp_path: Path):
+    """By the package's own writer, with no word of ours, and plain directories."""
+    path = tmp_path / "a.pmtiles"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        for number in range(5000):
+            writer.write_tile(number, tile_of(number % 97 if number % 3 else 5))
+        writer.finalize({"tile_type": TileType.WEBP, "tile_compression": Compression.UNKNOWN}, {})
+    archive = ArchiveFile(path)
+    assert (archive.format, archive.of_skugga, archive.metadata) == ("webp", {}, {})
+    with path.open("rb") as file:
+        assert all(archive.tile(*place) == body for place, body in all_tiles(MmapSource(file)))
+    assert archive.tile(*tileid_to_zxy(5001)) is None
+
+
+def test_plain_directories(tmp_path: Path):
+    tiles = {(2, x, x): tile_of(x) for x in range(4)}
+    content = write_tiles(tmp_path / "a.pmtiles", tiles).read_bytes()
+    at, length = struct.unpack_from("<QQ", content, 8)
+    at_metadata, length_metadata = struct.unpack_from("<QQ", content, 24)
+    (data,) = struct.unpack_from("<Q", content, 56)
+    root, metadata = gzip.decompress(content[at : at + length]), gzip.decompress(content[at_metadata:][:length_metadata])
+    header = bytearray(content[:127])
+    struct.pack_into("<QQQQQQQ", header, 8, 127, len(root), 127 + len(root), len(metadata), 0, 0, 127 + len(root) + len(metadata))
+    header[97] = 1
+    (tmp_path / "plain.pmtiles").write_bytes(bytes(header) + root + metadata + content[data:])
+    archive = ArchiveFile(tmp_path / "plain.pmtiles")
+    assert {place: archive.tile(*place) for place in tiles} == tiles
+
+
+def test_a_leaf_that_is_broken_is_told_of_at_the_start_or_when_it_is_read(tmp_path: Path, monkeypatch):
+    path = tmp_path / "a.pmtiles"
+    tiles = many(path, 8)
+    content = path.read_bytes()
+    at, length = struct.unpack_from("<QQ", content, 40)
+    path.write_bytes(content[: at + length - 2000] + bytes(2000) + content[at + length :])
+    with pytest.raises(ArchiveError, match="broken directories"):
+        ArchiveFile(path)
+    monkeypatch.setattr(archive_file, "CHECKED_LEAVES", 0)
+    archive = ArchiveFile(path)
+    assert archive.tile(*place_of(7 * 7 - 1)) == tiles[place_of(48)]
+    with pytest.raises(ArchiveError, match=r"a\.pmtiles: broken directories"):
+        archive.tile(*max(tiles))
+
+
+def test_files_are_closed(tmp_path: Path):
+    write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): PNG})
+    before = len(os.listdir("/proc/self/fd")) if sys.platform == "linux" else 0
+    for _ in range(20):
+        ArchiveFile(tmp_path / "a.pmtiles")
+    assert len(os.listdir("/proc/self/fd")) - before <= 1
+
+
+@pytest.mark.parametrize(
+    ("query", "expected"),
+    [
+        ("", ""), ("map_size=512", "map_size=512"), ("time=noon", "time=noon"),
+        ("time=2024-06-21T18%3A00%3A00%2B02%3A00&a=1", "time=2024-06-21T16%3A00%3A00%2B00%3A00&a=1"),
+        ("time=2024-06-21T16%3A00%3A00Z", "time=2024-06-21T16%3A00%3A00%2B00%3A00"),
+    ],
+)  # fmt: skip
+def test_one_instant_has_one_spelling(query: str, expected: str):
+    assert in_utc(query) == expected

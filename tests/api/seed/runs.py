@@ -1,0 +1,112 @@
+"""Runs of tests: a level, its task table, and a runner that draws in the test's own process."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from api.matrices import ZoomRange
+from api.seed.drawing import Drawer, Drawn
+from api.seed.planning import PlannedRun, SeedRequest, plan_run
+from api.seed.render_process import NotDrawn
+from api.seed.run_spec import Task
+from api.seed.running import TaskEnd
+from api.seed.seeding import Seeded, draw_and_publish
+from api.seed.storage import FolderStore
+from api.seed.task_table import TaskTable
+from api.workers.jobs import RequestedSettings
+from terrain.level.level_source import LevelSource
+from terrain.level.parts import SunSpec
+from tests.rasters import write_geotiff
+
+LOW_SUN = SunSpec(azimuth=225.0, altitude=12.0)
+
+Fate = Callable[[Task], NotDrawn | None]
+
+
+def rough_ground(cells: int, seed: int = 3) -> np.ndarray:
+    """Ridges and noise of some hundred metres, float32 (cells, cells)."""
+    rng = np.random.default_rng(seed)
+    row, col = np.mgrid[:cells, :cells]
+    ridges = 200.0 * np.sin(row / 17.0) * np.cos(col / 23.0) + 80.0 * np.sin((row + 2 * col) / 7.0)
+    return (600.0 + ridges + rng.normal(0.0, 4.0, (cells, cells))).astype(np.float32)
+
+
+def write_ground(path: Path, heights: np.ndarray) -> Path:
+    """Ground of cells of 30 m in a UTM zone."""
+    return write_geotiff(path, heights, "EPSG:32633", 500e3, 5200e3, 30.0)
+
+
+class HereRunner:
+    """Draws in this process, one at a time; ``fate`` may have a task end otherwise."""
+
+    def __init__(self, run: PlannedRun, store: FolderStore, fate: Fate | None = None) -> None:
+        self._drawer, self._fate = Drawer(run.spec, store), fate
+        self._given: deque[Task] = deque()
+        self.drawn: list[Task] = []
+
+    def free(self) -> int:
+        return 2 - len(self._given)
+
+    def submit(self, task: Task) -> None:
+        self._given.append(task)
+
+    def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
+        task = self._given.popleft()
+        if self._fate is not None and (ended := self._fate(task)) is not None:
+            return [ended]
+        self.drawn.append(task)
+        return [self._drawer.draw(task)]
+
+    def close(self) -> None:
+        self._drawer.close()
+
+
+@dataclass
+class Run:
+    """``skugga seed`` without its command: a level's tiles into an output, by a work folder beside it."""
+
+    level: Path
+    output: Path
+    zooms: tuple[int, int]
+    layer: str = "shadow"
+    suns: tuple[SunSpec | None, ...] = (LOW_SUN,)
+    settings: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def store(self) -> FolderStore:
+        return FolderStore(self.work / "shards")
+
+    @property
+    def work(self) -> Path:
+        return self.output.with_name(self.output.name + ".seed")
+
+    @property
+    def request(self) -> SeedRequest:
+        source = LevelSource(path=self.level.resolve())
+        return SeedRequest(source, ZoomRange(*self.zooms), self.suns, self.layer, "png", RequestedSettings.of(self.settings))
+
+    def __call__(self, fate: Fate | None = None, **options: object) -> tuple[Seeded, list[Task]]:
+        """Seed; what was done, and the tasks that were drawn."""
+        runners: list[HereRunner] = []
+        with TaskTable(self.work / "tasks.sqlite") as table:
+            run = plan_run(table, self.request, lambda text: None)
+
+            def start() -> HereRunner:
+                runners.append(HereRunner(run, self.store, fate))
+                return runners[-1]
+
+            outputs = {name: self.output_of(number) for number, name in enumerate(run.sun_names)}
+            done = draw_and_publish(table, run, self.store, str(self.work / "shards"), outputs, start, self.on_progress, **options)
+        return done, [task for runner in runners for task in runner.drawn]
+
+    def output_of(self, number: int) -> Path:
+        """Of a run under several suns, one for each."""
+        return self.output if len(self.suns) == 1 else self.output.with_stem(f"{self.output.stem}-{number}")
+
+    def on_progress(self, progress: TaskEnd) -> None:
+        """Nothing is shown."""

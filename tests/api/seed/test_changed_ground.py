@@ -1,0 +1,137 @@
+"""A change of a raster draws anew what its shadows can reach: not less, and not more."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from morecantile import tms
+from pyproj import Transformer
+from shapely import Polygon, box
+
+from api.seed.task_table import TaskTable
+from terrain.level.parts import SunSpec
+from tests.api.seed.runs import Run, rough_ground, write_ground
+
+CELLS, CELL_M, WEST, NORTH = 300, 30.0, 500e3, 5200e3
+ZOOM = 15
+"""Blocks of 3.4 km: the raster of 9 km has some 3 x 3 of them."""
+
+CHUNK_CELLS = 64
+
+
+def tiles_by_block(run: Run) -> dict[tuple[int, int, int], bytes]:
+    """The index of each task's tiles."""
+    with TaskTable(run.work / "tasks.sqlite") as table:
+        rows = table._db.execute("SELECT zoom, x, y, tiles FROM tasks WHERE wanted").fetchall()
+    return {(zoom, x, y): tiles for zoom, x, y, tiles in rows}
+
+
+def block_on_raster(zoom: int, x: int, y: int) -> Polygon:
+    """A block's outline in the raster's CRS."""
+    corners = [tms.get("WebMercatorQuad").xy_bounds(4 * x + i, 4 * y + j, zoom) for i, j in ((0, 0), (3, 3))]
+    area = box(corners[0].left, corners[1].bottom, corners[1].right, corners[0].top)
+    to_raster = Transformer.from_crs(3857, 32633, always_xy=True)
+    return Polygon([to_raster.transform(*point) for point in area.exterior.coords])
+
+
+def swept_shadow(area: Polygon, azimuth_deg: float, length_m: float) -> Polygon:
+    """All that an area can throw its shadow on, and the area."""
+    away = np.radians(azimuth_deg + 180.0)
+    step = length_m * np.sin(away), length_m * np.cos(away)
+    moved = Polygon([(x + step[0], y + step[1]) for x, y in area.exterior.coords])
+    return area.union(moved).convex_hull
+
+
+@pytest.fixture
+def heights() -> np.ndarray:
+    return rough_ground(CELLS)
+
+
+CASES = {
+    "a lower corner towards the sun": (slice(280, 300), slice(0, 20), lambda part: part - 60.0),
+    "a hill towards the sun": (slice(270, 290), slice(10, 30), lambda part: part + 180.0),
+    "a corner away from the sun": (slice(0, 20), slice(280, 300), lambda part: part + 90.0),
+    "a tower in the middle": (slice(150, 152), slice(150, 152), lambda part: part * 0 + 850.0),
+}
+"""Rows, columns, and what becomes of their heights: within the range that the level has anyway, by which every tile goes."""
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_changed_part_draws_anew_what_its_shadows_can_reach(tmp_path: Path, heights: np.ndarray, case: str):
+    rows, cols, change = CASES[case]
+    sun = SunSpec(azimuth=225.0, altitude=12.0)
+    run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM, ZOOM), suns=(sun,))
+    run()
+    before = tiles_by_block(run)
+    changed = heights.copy()
+    changed[rows, cols] = np.clip(change(heights[rows, cols]), heights.min() + 30.0, heights.max() - 1.0)
+    write_ground(run.level, changed)
+    _, drawn = run()
+    fresh = Run(run.level, tmp_path / "fresh.pmtiles", (ZOOM, ZOOM), suns=(sun,))
+    fresh()
+
+    assert run.output.read_bytes() == fresh.output.read_bytes(), "not less"
+    anew = {(task.zoom, task.x, task.y) for task in drawn}
+    different = {place for place, tiles in tiles_by_block(fresh).items() if tiles != before[place]}
+    assert different and different <= anew
+    # By hand, on a plane: a chunk of cells around the change, and as far as its highest ground throws a shadow over the lowest.
+    first, last = (np.array([s.start, s.stop]) for s in (rows, cols))
+    top, bottom = first[0] // CHUNK_CELLS * CHUNK_CELLS, -(-first[1] // CHUNK_CELLS) * CHUNK_CELLS
+    left, right = last[0] // CHUNK_CELLS * CHUNK_CELLS, -(-last[1] // CHUNK_CELLS) * CHUNK_CELLS
+    chunks = box(WEST + left * CELL_M, NORTH - bottom * CELL_M, WEST + right * CELL_M, NORTH - top * CELL_M)
+    high_m = max(float(each[top:bottom, left:right].max()) for each in (heights, changed))
+    length_m = (high_m - float(min(heights.min(), changed.min()))) / np.tan(np.radians(sun.altitude))
+    reach = swept_shadow(chunks, sun.azimuth, length_m).buffer(0.06 * length_m + 1.5 * CHUNK_CELLS * CELL_M)
+    reached = {place for place in before if block_on_raster(*place).intersects(reach)}
+    assert anew <= reached, "not more"
+    if case != "a tower in the middle":
+        assert len(anew) <= len(before) / 2
+
+
+def test_a_new_highest_ground_draws_all_anew(tmp_path: Path, heights: np.ndarray):
+    run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM - 1, ZOOM - 1))
+    run()
+    heights[150, 150] = 1500.0
+    write_ground(run.level, heights)
+    assert len(run()[1]) == len(tiles_by_block(run))
+
+
+def test_colours_go_by_the_sky_and_by_the_range_of_heights(tmp_path: Path, heights: np.ndarray):
+    run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM, ZOOM), layer="color")
+    run()
+    for height_m in (700.0, 1800.0):  # within the range, and beyond it
+        heights[280:, :20] = height_m
+        write_ground(run.level, heights)
+        _, drawn = run()
+        fresh = Run(run.level, tmp_path / "fresh.pmtiles", (ZOOM, ZOOM), layer="color")
+        fresh()
+        assert drawn and run.output.read_bytes() == fresh.output.read_bytes()
+    assert len(drawn) == len(tiles_by_block(run)), "all colours go by the highest ground"
+
+
+def test_at_night_a_change_draws_anew_what_shows_it(tmp_path: Path, heights: np.ndarray):
+    night = (SunSpec(azimuth=0.0, altitude=-20.0),)
+    run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM, ZOOM), suns=night)
+    run()
+    heights[280:, :20] = 600.0
+    write_ground(run.level, heights)
+    side_m = CHUNK_CELLS * CELL_M
+    chunk = box(WEST, NORTH - CELLS * CELL_M, WEST + side_m, NORTH - 4 * side_m).buffer(12 * CELL_M)
+    anew = {(task.zoom, task.x, task.y) for task in run()[1]}
+    assert anew == {place for place in tiles_by_block(run) if block_on_raster(*place).intersects(chunk)}
+    assert len(anew) < len(tiles_by_block(run)) / 2
+
+
+def test_a_file_that_is_written_again_with_the_same_heights_draws_nothing(tmp_path: Path, heights: np.ndarray):
+    run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM - 2, ZOOM - 2))
+    run()
+    archive = run.output.read_bytes()
+    write_ground(run.level, heights)
+    done, drawn = run()
+    assert (done.drawn, drawn) == (0, []) and run.output.read_bytes() == archive
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    run.level = run.level.rename(moved / "dem.tif")
+    assert run()[1] == [], "nor is one that lies elsewhere"

@@ -1,0 +1,102 @@
+"""Fifty deaths at random moments, of render processes and of the run itself: nothing is lost, and no byte becomes another one."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.api.seed.pmtiles_checker import checked
+from tests.api.seed.runs import rough_ground, write_ground
+
+pytestmark = pytest.mark.long
+
+DEATHS, OF_A_RUN = 50, 4
+"""Every fourth is the run's own."""
+
+ASKED = ("--zooms", "11-15", "--azimuth", "225", "--altitude", "12")
+
+
+def command(folder: Path, output: str, *options: str) -> list[str]:
+    run = "from api.cli.main import main; main()"
+    return [sys.executable, "-c", run, "seed", str(folder / "dem.tif"), *ASKED, "-o", str(folder / output), *options]
+
+
+def render_processes(parent: int) -> list[int]:
+    """The children of a run that draw."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            status = (entry / "stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
+        except (OSError, ValueError):
+            continue
+        if entry.name.isdigit() and int(status[1]) == parent:
+            found.append(int(entry.name))
+    return found
+
+
+def done_tasks(folder: Path, output: str) -> int:
+    said = subprocess.run(command(folder, output, "--dry-run"), capture_output=True, text=True, check=True).stdout
+    found = re.search(r"Done: (\d+)", said)
+    assert found
+    return int(found[1])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_ground(tmp_path / "dem.tif", rough_ground(300))
+    return tmp_path
+
+
+def test_fifty_deaths(folder: Path):
+    chance = random.Random(28)
+    subprocess.run(command(folder, "whole.pmtiles", "--workers", "1", "--json"), check=True, capture_output=True)
+    deaths, done_before, runs = 0, 0, 0
+    while deaths < DEATHS:
+        with subprocess.Popen(
+            command(folder, "a.pmtiles", "--workers", "2"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        ) as run:
+            runs += 1
+            while run.poll() is None:
+                time.sleep(chance.uniform(0.2, 5.0))
+                deaths += 1
+                victims = [run.pid] if deaths % OF_A_RUN == 0 else render_processes(run.pid) or [run.pid]
+                try:
+                    os.kill(chance.choice(victims), signal.SIGKILL)
+                except ProcessLookupError:
+                    deaths -= 1
+            run.wait()
+        done = done_tasks(folder, "a.pmtiles")
+        assert done >= done_before, "what was done stays done"
+        done_before = done
+        if run.returncode == 0:  # it came to its end: begin publishing again, which has to bear deaths, too
+            (folder / "a.pmtiles").unlink()
+    assert runs > DEATHS / OF_A_RUN / 2
+    last = subprocess.run(command(folder, "a.pmtiles", "--json", "--retry-failed"), capture_output=True, text=True, check=True)
+    assert json.loads(last.stdout)["written"] == [str(folder / "a.pmtiles")]
+    assert (folder / "a.pmtiles").read_bytes() == (folder / "whole.pmtiles").read_bytes()
+    checked(folder / "a.pmtiles")
+    left = [path.name for path in folder.iterdir() if not path.name.startswith((".", "dem", "a.", "whole."))]
+    assert left == []
+
+
+def test_a_signal_ends_a_run_and_its_processes(folder: Path):
+    with subprocess.Popen(command(folder, "a.pmtiles"), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as run:
+        assert run.stderr is not None and run.stderr.readline().startswith("[1/")
+        children = render_processes(run.pid)
+        run.send_signal(signal.SIGTERM)
+        assert run.wait(20) == 128 + signal.SIGTERM
+    assert len(children) >= 1
+    until = time.monotonic() + 20
+    while any(Path(f"/proc/{pid}").exists() for pid in children) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not any(Path(f"/proc/{pid}").exists() for pid in children)
+    assert done_tasks(folder, "a.pmtiles") >= 1 and not (folder / "a.pmtiles").exists()

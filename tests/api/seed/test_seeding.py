@@ -1,0 +1,333 @@
+"""Runs of ``skugga seed``: what they make, how they go on, and what they do about what goes wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from pmtiles.reader import MmapSource, Reader
+from pmtiles.tile import tileid_to_zxy
+
+from api.seed import planning
+from api.seed.archive import ShardIndex
+from api.seed.publishing import MANIFEST
+from api.seed.render_process import NotDrawn
+from api.seed.running import shard_name
+from api.seed.seeding import FAILED_LIST
+from api.seed.task_table import TaskTable
+from api.workers.jobs import BlockJob, LevelKey
+from api.workers.render_worker import WorkerState, run_job
+from shadows import render
+from terrain.errors import InputError, RenderError
+from terrain.level.parts import SunSpec
+from tests.api.seed.pmtiles_checker import checked
+from tests.api.seed.runs import LOW_SUN, Run, rough_ground, write_ground
+
+ZOOMS = 11, 14
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    level = write_ground(tmp_path / "dem.tif", rough_ground(120))
+    return Run(level, tmp_path / "out.pmtiles", ZOOMS)
+
+
+def tiles_of(archive: Path) -> dict[tuple[int, int, int], bytes]:
+    """Every tile by zoom, column and row, as the reader of the ``pmtiles`` package has it."""
+    from pmtiles.reader import all_tiles
+
+    with archive.open("rb") as file:
+        return {place: bytes(content) for place, content in all_tiles(MmapSource(file))}
+
+
+def work_of(table_of: Run) -> TaskTable:
+    return TaskTable(table_of.work / "tasks.sqlite")
+
+
+def test_tiles_are_those_that_a_service_sends(run: Run):
+    run.layer = "color"
+    done, drawn = run()
+    assert done.written == [run.output] and done.drawn == len(drawn) > 4
+    checked(run.output)
+    with run.output.open("rb") as file:
+        header, metadata = (reader := Reader(MmapSource(file))).header(), reader.metadata()
+    assert (header["min_zoom"], header["max_zoom"]) == ZOOMS
+    assert metadata["skugga"] == {
+        "level": "dem", "layer": "color", "format": "png", "tms": "WebMercatorQuad", "query": "azimuth=225.0&altitude=12.0",
+    }  # fmt: skip
+    sent: dict[tuple[int, int, int], bytes] = {}
+    state = WorkerState("any")
+    level = LevelKey(**{**run.request.level.model_dump(), "version": "1"})
+    for task in drawn:
+        job = BlockJob(
+            level=level, matrix_set="WebMercatorQuad", zoom=task.zoom, block_x=task.x, block_y=task.y,
+            request=planning.PictureRequest(sun=LOW_SUN),
+        )  # fmt: skip
+        tiles = run_job(job, state).tiles
+        sent |= {(task.zoom, 4 * task.x + col, 4 * task.y + row): body for (row, col), body in tiles.items()}
+    kept = tiles_of(run.output)
+    assert set(kept) < set(sent) and all(sent[place] == body for place, body in kept.items())
+    assert len({body for place, body in sent.items() if place not in kept}) == 1, "all others are empty"
+
+
+def test_an_unchanged_level_is_nothing_to_do(run: Run):
+    run()
+    before = run.output.stat()
+    done, drawn = run()
+    assert (done.drawn, done.written, drawn) == (0, [], [])
+    assert run.output.stat() == before
+    run.output.unlink()
+    assert run()[0].written == [run.output], "it is written again from what was drawn"
+
+
+def test_the_order_of_tasks_does_not_show(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    run()
+    in_order = TaskTable.waiting
+    monkeypatch.setattr(TaskTable, "waiting", lambda table: in_order(table)[::-1])
+    other = Run(run.level, tmp_path / "other.pmtiles", ZOOMS)
+    other()
+    assert other.output.read_bytes() == run.output.read_bytes()
+
+
+def test_the_heaviest_come_first(run: Run):
+    with work_of(run) as table:
+        planned = planning.plan_run(table, run.request, lambda text: None)
+        expected = [
+            table._db.execute("SELECT expected_s FROM tasks WHERE id = ?", (number,)).fetchone()[0] for number in table.waiting()
+        ]
+    assert planned.zooms.last == 14 and expected == sorted(expected, reverse=True) and len(set(expected)) > 3
+
+
+def test_a_run_that_ends_in_the_middle_goes_on(run: Run, tmp_path: Path):
+    count = 0
+
+    def ends(task):
+        nonlocal count
+        count += 1
+        if count == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(ends)
+    assert not run.output.exists()
+    done, drawn = run()
+    whole = Run(run.level, tmp_path / "whole.pmtiles", ZOOMS)
+    all_drawn = whole()[1]
+    assert len(drawn) == len(all_drawn) - 3
+    assert run.output.read_bytes() == whole.output.read_bytes()
+
+
+def test_failed_tasks_are_listed_and_the_others_go_on(run: Run):
+    def fails(task):
+        return NotDrawn(task.id, "a part that cannot be read", "failed") if task.zoom == 12 else None
+
+    with pytest.raises(RenderError, match=r"of \d+ tasks failed.*--retry-failed.*a part that cannot be read"):
+        run(fails)
+    listed = (run.work / FAILED_LIST).read_text(encoding="utf-8").splitlines()
+    assert listed and all(line.startswith("zoom 12 block ") for line in listed)
+    assert not run.output.exists()
+    with pytest.raises(RenderError, match="tasks failed"):
+        run()  # they stay failed
+    done, drawn = run(retry_failed=True)
+    assert {task.zoom for task in drawn} == {12} and len(drawn) == len(listed)
+    assert done.written == [run.output] and not (run.work / FAILED_LIST).exists()
+
+
+@pytest.mark.parametrize(("deaths", "fails"), [(2, False), (3, True)])
+def test_a_task_is_begun_anew_when_its_worker_dies(run: Run, deaths: int, fails: bool):
+    left = deaths
+
+    def dies(task):
+        nonlocal left
+        if task.zoom == 11 and left:
+            left -= 1
+            return NotDrawn(task.id, "its render process ended", "died")
+        return None
+
+    run.zooms = 11, 11
+    if fails:
+        with pytest.raises(RenderError, match="1 of 1 tasks failed"):
+            run(dies)
+    else:
+        assert len(run(dies)[1]) == 1
+
+
+def test_where_no_shard_can_be_written_the_run_stops(run: Run):
+    def full(task):
+        return NotDrawn(task.id, "/shards: No space left on device", "stopped") if task.zoom < 14 else None
+
+    with pytest.raises(RenderError, match="No space left"):
+        run(full)
+    assert len(run()[1]) >= 2 and run.output.exists()
+
+
+def test_more_tasks_than_allowed_are_not_begun(run: Run):
+    with pytest.raises(InputError, match=r"--max-tasks.*--dry-run"):
+        run(most_tasks=2)
+    assert not (run.work / "shards").exists()
+    assert run(most_tasks=1000)[0].written
+
+
+def test_lost_and_broken_shards_are_drawn_anew(run: Run):
+    run()
+    archive = run.output.read_bytes()
+    with work_of(run) as table:
+        names = [shard_name(key) for _, key in table.with_shards()]
+    lost, broken = (run.work / "shards" / name for name in names[:2])
+    lost.unlink()
+    broken.write_bytes(broken.read_bytes()[:-1] + b"x")
+    run.output.unlink()
+    assert len(run()[1]) == 2
+    assert run.output.read_bytes() == archive
+
+
+def test_a_level_that_changes_during_a_run_is_noticed(run: Run, tmp_path: Path):
+    drawn_before = 0
+
+    def changes(task):
+        nonlocal drawn_before
+        drawn_before += 1
+        if drawn_before == 3:
+            write_ground(run.level, rough_ground(120, seed=4))
+
+    with pytest.raises(RenderError, match="has changed during the run"):
+        run(changes)
+    assert not run.output.exists()
+    run()
+    fresh = Run(run.level, tmp_path / "fresh.pmtiles", ZOOMS)
+    fresh()
+    assert run.output.read_bytes() == fresh.output.read_bytes()
+
+
+def test_an_output_has_the_zooms_that_are_asked_for(run: Run):
+    all_drawn = run()[1]
+    run.zooms = 12, 13
+    assert run()[1] == []
+    assert {place[0] for place in tiles_of(run.output)} == {12, 13}
+    run.zooms = ZOOMS
+    assert run()[1] == [] and len(all_drawn) > 4, "what was drawn for other zooms is kept"
+    assert {place[0] for place in tiles_of(run.output)} == {11, 12, 13, 14}
+
+
+def test_suns_have_an_archive_each(run: Run):
+    run.suns, run.zooms = (LOW_SUN, SunSpec(azimuth=90.0, altitude=30.0)), (12, 13)
+    run()
+    one, other = (tiles_of(run.output_of(number)) for number in (0, 1))
+    assert set(one) == set(other) and one != other
+    run.suns = (*run.suns, SunSpec(azimuth=180.0, altitude=45.0))
+    assert {task.sun for task in run()[1]} == {2}, "a sun more draws its own tiles alone"
+
+
+@pytest.mark.parametrize("layer", ["mask", "terrain-rgb", "terrarium"])
+def test_layers_to_compute_with(run: Run, layer: str):
+    run.layer, run.zooms = layer, (13, 13)
+    run()
+    tiles = tiles_of(run.output)
+    assert tiles and all(body.startswith(b"\x89PNG") for body in tiles.values())
+    run.layer = "shadow"
+    assert len(run()[1]) > 0, "another layer is another picture"
+
+
+def test_plans_are_made_once(run: Run, monkeypatch: pytest.MonkeyPatch):
+    run()
+
+    def fail(*_: object, **__: object):
+        raise AssertionError("a plan was made again")
+
+    monkeypatch.setattr(planning, "plan_in_service", fail)
+    write_ground(run.level, rough_ground(120, seed=4))
+    assert run()[1], "the ground has changed"
+    run.zooms = 11, 15
+    with pytest.raises(AssertionError, match="made again"):
+        run()
+
+
+def test_reasons(run: Run, monkeypatch: pytest.MonkeyPatch):
+    def reasons() -> set[str]:
+        with work_of(run) as table:
+            planning.plan_run(table, run.request, lambda text: None)
+            return {why for _, _, why, _, _ in table.outlook()}
+
+    assert reasons() == {"not drawn yet"}
+    run()
+    assert reasons() == set()
+    ground = rough_ground(120)
+    ground[50:54, 50:54] = 600.0
+    write_ground(run.level, ground)
+    assert reasons() == {"ground that they hang on has changed"}
+    run()
+    ground[50, 50] = 2000.0
+    write_ground(run.level, ground)
+    assert reasons() == {"the level's lowest or highest ground has changed"}
+    run()
+    run.settings = {"algorithm": "shadow_map"}
+    assert reasons() == {"the level or what is asked has changed"}
+    run()
+    monkeypatch.setattr(planning, "RENDERER_VERSION", render.RENDERER_VERSION + 1)
+    assert reasons() == {"the renderer is another one"}
+
+
+def test_what_is_written_beside_the_pictures_draws_nothing_anew(run: Run, tmp_path: Path):
+    level = tmp_path / "level.yaml"
+    level.write_text("version: 1\ntitle: One\nterrain: {source: dem.tif}\n", encoding="utf-8")
+    run.level = level
+    run()
+    level.write_text("# said\nversion: 1\ntitle: Other\nattribution: Me\nterrain: {source: dem.tif}\n", encoding="utf-8")
+    done, drawn = run()
+    assert drawn == [] and done.written == [run.output], "the title stands in the archive"
+    level.write_text("version: 1\nterrain: {source: dem.tif, exaggeration: 1.5}\n", encoding="utf-8")
+    assert run()[1] != []
+
+
+def test_a_folder_has_the_same_tiles(run: Run, tmp_path: Path):
+    run()
+    folder = Run(run.level, tmp_path / "tiles", ZOOMS)
+    folder()
+    there = {
+        tuple(map(int, path.relative_to(folder.output).with_suffix("").parts)): path.read_bytes()
+        for path in folder.output.rglob("*.png")
+    }
+    assert there == tiles_of(run.output)
+    said = json.loads((folder.output / MANIFEST).read_text(encoding="utf-8"))
+    assert (said["minzoom"], said["maxzoom"], said["tiles"]) == (11, 14, ["{z}/{x}/{y}.png"])
+    folder.zooms = 12, 13
+    folder()
+    assert {int(path.parts[-3]) for path in folder.output.rglob("*.png")} == {12, 13}
+
+
+def test_a_table_for_another_renderer_is_refused(run: Run, monkeypatch: pytest.MonkeyPatch):
+    run()
+    monkeypatch.setattr(planning, "renderer_here", lambda: "another renderer")
+    with pytest.raises(RenderError, match=r"planned for the renderer '.*another renderer.*delete"):
+        run()
+
+
+def test_a_table_has_one_run_at_a_time(run: Run):
+    with work_of(run), pytest.raises(InputError, match=r"--work.*no other run.*process \d+"):
+        run()
+    run()
+
+
+def test_a_broken_table_is_told(run: Run):
+    run.work.mkdir()
+    (run.work / "tasks.sqlite").write_bytes(b"no table" * 1000)
+    with pytest.raises(InputError, match="--work.*delete the folder"):
+        run()
+
+
+def test_zooms_beyond_the_data(run: Run):
+    run.zooms = 11, 22
+    with pytest.raises(InputError, match=r"--zooms: '11-22'.*zooms 0 to 1\d"):
+        run()
+
+
+def test_tiles_of_a_task_are_one_range_of_ids(run: Run):
+    _, drawn = run()
+    with work_of(run) as table:
+        (name,) = {row[0] for row in table._db.execute("SELECT sun FROM tasks")}
+        ranges = [ShardIndex.from_bytes(tiles).ids for _, _, tiles in table.done(name)]
+    for before, after in zip(ranges, ranges[1:], strict=False):
+        assert before.size == 0 or after.size == 0 or before[-1] < after[0]
+    assert all(ids.size == 0 or ids[-1] - ids[0] < 16 for ids in ranges)
+    assert {tileid_to_zxy(int(ids[0]))[0] for ids in ranges if ids.size} == {11, 12, 13, 14}

@@ -1,0 +1,43 @@
+"""Versions of levels: they change with what is in their files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from api.file_stamps import file_stamps, level_version, watched_files
+from terrain.level.level import load_level
+from terrain.level.level_source import LevelSource
+from tests.rasters import write_geotiff
+
+
+def version(path: Path) -> str:
+    loaded = load_level(LevelSource(path=path))
+    return level_version(loaded, file_stamps(watched_files(loaded)))
+
+
+def ground(path: Path, height_m: float) -> Path:
+    return write_geotiff(path, np.full((8, 9), height_m, np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
+
+
+def test_a_raster_that_is_a_level_by_itself_has_a_version_by_its_cells(tmp_path: Path):
+    raster = ground(tmp_path / "dem.tif", 100.0)
+    before = version(raster)
+    assert version(raster) == before
+    ground(raster, 200.0)
+    assert version(raster) != before
+
+
+def test_a_level_has_a_version_by_its_text_and_by_its_raster(tmp_path: Path):
+    ground(tmp_path / "dem.tif", 100.0)
+    level = tmp_path / "level.yaml"
+    level.write_text("version: 1\nterrain: {source: dem.tif}\n", encoding="utf-8")
+    before = version(level)
+    level.write_text(level.read_text(encoding="utf-8"), encoding="utf-8")
+    assert version(level) == before, "it was written again as it was"
+    ground(tmp_path / "dem.tif", 200.0)
+    changed = version(level)
+    assert changed != before
+    level.write_text("version: 1\nterrain: {source: dem.tif, exaggeration: 2}\n", encoding="utf-8")
+    assert version(level) != changed

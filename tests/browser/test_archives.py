@@ -1,0 +1,134 @@
+"""MapLibre shows archives of tiles, through the service or from a plain server of files, and npm's reader finds every tile."""
+
+from __future__ import annotations
+
+import base64
+import json
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from api.http.app import create_app
+from api.http.archive_file import ArchiveFile
+from api.settings import Settings
+from tests.api.conftest import Client, running, write_tiles
+from tests.api.seed.pmtiles_checker import checked
+from tests.browser.conftest import missing
+from tests.browser.map_clients import CLIENTS, MapClient, RangesOfFiles, difference, served_folder
+from tests.browser.test_page_lines import CORNER, MAPS
+
+NODE = Path(__file__).parents[2] / ".venv" / "bin" / "node"
+
+READ_ALL = """
+import { readFileSync } from "node:fs";
+import { PMTiles } from "pmtiles";
+const [path, places] = JSON.parse(readFileSync(0, "utf8"));
+const bytes = readFileSync(path);
+const archive = new PMTiles({
+  getKey: () => path,
+  getBytes: async (offset, length) => ({data: bytes.buffer.slice(bytes.byteOffset + offset, bytes.byteOffset + offset + length)}),
+});
+const tiles = [];
+for (const [z, x, y] of places) {
+  const found = await archive.getZxy(z, x, y);
+  tiles.push(found ? Buffer.from(found.data).toString("base64") : null);
+}
+console.log(JSON.stringify({header: await archive.getHeader(), metadata: await archive.getMetadata(), tiles}));
+"""
+
+
+@pytest.fixture(scope="module")
+def archive(service: Client, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An archive of what the service draws round the corner, at the corner's zoom and the one before."""
+    tiles = {}
+    for zoom, column, row in (
+        *((CORNER.zoom, CORNER.column + across, CORNER.row + down) for across in (-1, 0) for down in (-1, 0)),
+        (CORNER.zoom - 1, CORNER.column // 2, CORNER.row // 2),
+    ):
+        tiles[zoom, column, row] = service.get(f"/levels/jacksboro/tiles/{CORNER.tms}/{zoom}/{column}/{row}.png").content
+    path = tmp_path_factory.mktemp("archives") / "jacksboro.pmtiles"
+    return write_tiles(path, tiles, level="jacksboro")
+
+
+@pytest.fixture
+def maplibre(map_client: MapClient) -> MapClient:
+    """A map that looks at the corner."""
+    map_client.open("maplibre")
+    map_client.run(MAPS["MapLibre"].make, lonLat=CORNER.lon_lat, zoom=CORNER.zoom)
+    return map_client
+
+
+@pytest.fixture
+def archive_service(archive: Path) -> Iterator[Client]:
+    """A service of the archive alone: it has no render process."""
+    with running(create_app(Settings(workers=1), [], archives=[archive])) as client:
+        yield client
+
+
+SHOWN = """async ({url}) => {
+  map.addSource('archive', {type: 'raster', url, tileSize: 256});
+  map.addLayer({id: 'archive', type: 'raster', source: 'archive', paint: {'raster-fade-duration': 0}});
+  await idle();
+  const {attribution, minzoom, maxzoom} = map.getSource('archive');
+  return {attribution, minzoom, maxzoom};
+}"""
+
+
+def test_the_service_s_tilejson_of_an_archive(maplibre: MapClient, service: Client, archive_service: Client):
+    maplibre.allow(str(archive_service.base_url))
+    source = maplibre.run(SHOWN, url=f"{archive_service.base_url}/archives/jacksboro/tilejson.json")
+    assert source == {"attribution": "nobody", "minzoom": CORNER.zoom - 1, "maxzoom": CORNER.zoom}
+    shown = maplibre.pixels()
+    assert shown.std() > 10, "it shows something"
+    assert difference(shown, CORNER.tiles(service)).max() == 0
+    assert archive_service.service.pool.pids == set()
+
+
+def test_the_protocol_reads_a_plain_file(maplibre: MapClient, service: Client, archive: Path):
+    """By ranges of a file on a server that knows nothing of tiles."""
+    with served_folder(archive.parent, RangesOfFiles) as address:
+        maplibre.allow(address)
+        maplibre.page.add_script_tag(url="node_modules/pmtiles/dist/pmtiles.js")
+        maplibre.run(
+            """() => {
+              maplibregl.addProtocol('pmtiles', new pmtiles.Protocol({metadata: true}).tile);
+            }"""
+        )
+        source = maplibre.run(SHOWN, url=f"pmtiles://{address}/{archive.name}")
+        assert (source["minzoom"], source["maxzoom"]) == (CORNER.zoom - 1, CORNER.zoom)
+        shown = maplibre.pixels()
+    assert shown.std() > 10, "it shows something"
+    assert difference(shown, CORNER.tiles(service)).max() == 0
+
+
+def test_npm_s_reader_finds_every_tile(archive: Path, tmp_path: Path):
+    """Also of an archive with leaf directories and runs, and none where there is none."""
+    if not (CLIENTS / "node_modules" / "pmtiles").is_dir():
+        missing("there is no pmtiles: 'make test-browser' installs it")
+    many = tmp_path / "many.pmtiles"
+    ocean, land = (archive_tile for archive_tile in list(checked(archive).tiles.values())[:2])
+    write_tiles(many, {(8, x, y): ocean[:100] if x % 5 else land[: 50 + (x * y) % 999] for x in range(256) for y in range(255)})
+    assert ArchiveFile(many).header["leaf_directory_length"] > 0
+    for path in (archive, many):
+        read = checked(path)
+        lacking = [(8, x, 255) for x in range(0, 256, 50)] if path == many else [(3, 0, 0)]
+        places = [*read.tiles, *lacking]
+        told = subprocess.run(
+            [NODE, "--input-type=module", "-e", READ_ALL], cwd=CLIENTS, input=json.dumps([str(path), places]), capture_output=True,
+            text=True, check=True, timeout=300,
+        )  # fmt: skip
+        answer = json.loads(told.stdout)
+        tiles = [None if each is None else base64.b64decode(each) for each in answer["tiles"]]
+        assert tiles == [*read.tiles.values(), *[None] * len(lacking)]
+        assert answer["metadata"] == read.metadata
+        header = answer["header"]
+        assert (header["minZoom"], header["maxZoom"], header["clustered"]) == (
+            read.header["min_zoom"],
+            read.header["max_zoom"],
+            True,
+        )
+        assert [header[name] for name in ("numAddressedTiles", "numTileEntries", "numTileContents")] == [
+            read.header[name] for name in ("addressed", "entries", "contents")
+        ]
