@@ -180,7 +180,7 @@ class Surface:
             cell = self.cells_of(x, y, everywhere=True)
             assert cell is not None
         located = interpolated(np.stack(cell, axis=-1), exact_rows, exact_cols, stride, row0, col0, rows, cols)
-        return self.elevation.heights_at(self.level, located[..., 0], located[..., 1])
+        return self.elevation.heights_at(self.level, located[0], located[1])
 
     def exact_nodes(self, row0: int, col0: int, rows: int, cols: int, stride: int) -> tuple[int, int, np.ndarray, np.ndarray]:
         """First exact row and column (in strides), and x, y of the exact nodes that a window needs."""
@@ -337,36 +337,24 @@ def cubic_weights(t):
 
 @compiled
 def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
-    """(rows, cols, k) values of a window from (m, n, k) exact ones every ``stride`` nodes; sums in a fixed order."""
+    """(k, rows, cols) values of a window from (m, n, k) exact ones every ``stride`` nodes; sums in a fixed order."""
     kinds = exact.shape[2]
-    out = np.empty((rows, cols, kinds))
-    along = np.empty((exact.shape[1], kinds))
-    weights = np.empty((stride, 4))  # of the nodes between two exact ones
+    out = np.empty((kinds, rows, cols))
+    along = np.empty(exact.shape[1])
+    weights = np.empty((4, stride))  # of the nodes between two exact ones
     for n in range(stride):
-        weights[n, 0], weights[n, 1], weights[n, 2], weights[n, 3] = cubic_weights(n / stride)
+        weights[0, n], weights[1, n], weights[2, n], weights[3, n] = cubic_weights(n / stride)
     for i in range(rows):
         coarse = (row0 + i) // stride
-        w = cubic_weights((row0 + i - coarse * stride) / stride)
-        m = coarse - first_row
-        for n in range(exact.shape[1]):
-            for k in range(kinds):
-                if w[1] == 1.0:  # an exact row: zero weights must not carry a neighbour's NaN
-                    along[n, k] = exact[m, n, k]
-                else:
-                    along[n, k] = (
-                        w[0] * exact[m - 1, n, k] + w[1] * exact[m, n, k] + w[2] * exact[m + 1, n, k] + w[3] * exact[m + 2, n, k]
-                    )
-        for coarse in range(col0 // stride, (col0 + cols - 1) // stride + 1):
-            n, at = coarse - first_col, coarse * stride - col0
-            begin, end = max(at, 0), min(at + stride, cols)
-            for k in range(kinds):
-                a, b = along[n - 1, k], along[n, k]
-                c, d = along[n + 1, k], along[n + 2, k]
-                if begin == at:
-                    out[i, at, k] = b
-                for j in range(max(begin, at + 1), end):
-                    v = weights[j - at]
-                    out[i, j, k] = v[0] * a + v[1] * b + v[2] * c + v[3] * d
+        m, share = coarse - first_row, (row0 + i - coarse * stride) / stride
+        for k in range(kinds):
+            _of_row(exact[:, :, k], m, share, along)
+            for coarse in range(col0 // stride, (col0 + cols - 1) // stride + 1):
+                n, at = coarse - first_col, coarse * stride - col0
+                begin, end = max(at, 0), min(at + stride, cols)
+                _between_exact(along, n - 1, weights, begin - at, out[k, i, begin:end])
+                if begin == at:  # an exact column: zero weights must not carry a neighbour's NaN
+                    out[k, i, at] = along[n]
     return out
 
 
@@ -433,6 +421,16 @@ def _of_row(exact, m, share, out):
 
 
 # The next loops are written so that they compile to vector instructions: slices have their lengths, and rows lie side by side.
+
+
+@compiled
+def _between_exact(values, n, weights, first, out):
+    """Of nodes between the exact columns ``n`` + 1 and ``n`` + 2, from number ``first`` on."""
+    a, b, c, d = values[n], values[n + 1], values[n + 2], values[n + 3]
+    w0, w1 = weights[0][first : first + out.size], weights[1][first : first + out.size]
+    w2, w3 = weights[2][first : first + out.size], weights[3][first : first + out.size]
+    for j in range(out.size):
+        out[j] = w0[j] * a + w1[j] * b + w2[j] * c + w3[j] * d
 
 
 @compiled
@@ -510,7 +508,7 @@ def _positions(exact, first_row, first_col, stride, row0, col0, height):
         for j in range(cols):
             h = np.float64(height[i, j])
             for k in range(3):
-                out[i, j, k] = placed[i, j, k] + h * placed[i, j, k + 3]
+                out[i, j, k] = placed[k, i, j] + h * placed[k + 3, i, j]
     return out
 
 
