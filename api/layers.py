@@ -75,9 +75,9 @@ class Layer:
     A layer with a ``picture`` (of uint8: gray or RGBA, with JPEG RGBA) is served over HTTP, in those formats that are among its
     suffixes; any other has ``data``. Of tiles and maps data are served too, where ``pixels`` takes them from what was drawn, or
     where they are heights in an ``encoding``: those hang on no light. ``shown`` makes of an array that is no picture one for PNG,
-    over the frame's colour. ``nodata`` is what a TIFF has where there is no surface. A layer ``to_look_at`` may be compressed with
-    loss, and is of all lights together; others are to be computed with, and of one light. One ``of_points`` takes the visibility at
-    pixels' own points; others what is shown, which is drawn faster.
+    over the frame's colour. ``nodata`` is what a TIFF has where there is no surface. A layer ``to_look_at`` is the colour that is
+    seen: it may be compressed with loss, and is of all lights together; others are to be computed with, and of one light. One
+    ``of_points`` takes the visibility at pixels' own points; others what is shown, which is drawn faster.
     """
 
     about: str = ""

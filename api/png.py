@@ -33,7 +33,7 @@ def encode_png(array: np.ndarray) -> bytes:
     rows, cols = array.shape[:2]
     channels = 1 if array.ndim == 2 else array.shape[2]
     bits = 8 * array.itemsize
-    values = np.ascontiguousarray(array, array.dtype.newbyteorder(">")).reshape(rows, -1).view(np.uint8)
+    values = array.reshape(rows, -1).astype(array.dtype.newbyteorder(">"), copy=False).view(np.uint8)
     filtered = np.empty((rows, values.shape[1] + 1), np.uint8)
     filtered[:, 0] = UP
     filtered[0, 1:] = values[0]

@@ -334,28 +334,73 @@ def _shade(shown, tints, light_here, centre, glow, albedo, sunlight, skylight, l
 
 @compiled
 def _shade_ground(there, height, normal, sky_share, sunlight, tints, light_here, sines, table, out):
-    """``_shade`` of bare ground and ``srgb_encoded`` of that."""
+    """``_shade`` of bare ground and ``srgb_encoded`` of that, row by row: in loops that compile to vector instructions, and what is
+    looked up in tables between them.
+    """
     low, relief, tint = tints
     _, to_sun, sun, sky, night = light_here
-    steps = np.float32(table.size)
+    cols = there.shape[1]
+    direct, sky_here, facing = np.empty(cols), np.ones(cols), np.empty(cols)
+    beyond, at = np.empty(cols), np.empty(cols, np.int32)
+    own, step = np.empty(cols), np.empty(cols, np.int32)
+    tints_of, rises_of = np.empty((3, len(tint))), np.empty((3, len(tint)))
+    for k in range(3):
+        for n in range(len(tint) - 1):
+            tints_of[k, n], rises_of[k, n] = tint[n, k], tint[n + 1, k] - tint[n, k]
     for i in range(there.shape[0]):
-        for j in range(there.shape[1]):
-            if not there[i, j]:
-                continue
-            direct, sky_here = np.float64(sunlight[i, j]), 1.0
-            if sines is not None:
+        direct[:] = sunlight[i]
+        if sines is not None:
+            for j in range(cols):
                 sine = sines[i, j]
-                direct *= min(max(np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))), 0.0), 1.0)
-                sky_here = night + (1.0 - night) * dusk_of(sine)
-            n = normal[i, j]
-            facing = max(n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2], 0.0) * direct
-            share = min(max((height[i, j] - low) / relief, 0.0), 1.0) * (tint.shape[0] - 1)
-            at = min(int(share), tint.shape[0] - 2)
-            for k in range(3):
-                light = sun[k] * facing + sky[k] * sky_here * sky_share[i, j]
-                shown = (tint[at, k] + (tint[at + 1, k] - tint[at, k]) * (share - at)) * light
-                linear = np.float32(shown if shown <= 0.5 else 1.0 - 0.25 / shown)
-                out[i, j, k] = table[min(int(linear * steps), table.size - 1)]
+                direct[j] *= min(max(np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))), 0.0), 1.0)
+                sky_here[j] = night + (1.0 - night) * dusk_of(sine)
+        _face(normal[i], (to_sun[0], to_sun[1], to_sun[2]), direct, facing)
+        _place_in_tint(height[i], low, relief, tint.shape[0], beyond, at)
+        for k in range(3):
+            _look_up_tint(tints_of[k], rises_of[k], at, beyond, own)
+            _srgb_steps_of(own, sun[k], sky[k], facing, sky_here, sky_share[i], table.size, step)
+            _look_up_srgb(there[i], step, table, out[i, :, k])
+
+
+@compiled
+def _face(normal, to_sun, direct, out):
+    """How much of the direct light falls on ground with normals (n, 3)."""
+    for j in range(out.size):
+        facing = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
+        out[j] = max(facing, 0.0) * direct[j]
+
+
+@compiled
+def _place_in_tint(height, low, relief, count, beyond, at):
+    """The tint of heights: which of ``count`` colours lies below, and by what share of the way to the next they are beyond."""
+    for j in range(height.size):
+        share = min(max((height[j] - low) / relief, 0.0), 1.0) * (count - 1)
+        at[j] = np.int32(min(share, count - 2.0) if share > 0.0 else 0.0)  # any where there is no ground
+        beyond[j] = share - at[j]
+
+
+@compiled
+def _look_up_tint(tints, rises, at, beyond, out):
+    for j in range(at.size):
+        out[j] = tints[at[j]] + rises[at[j]] * beyond[j]
+
+
+@compiled
+def _srgb_steps_of(own, sun, sky, facing, sky_here, sky_share, steps, out):
+    """Which of the table's ``steps`` the colour is that ground shows of light, with a shoulder."""
+    many = np.float32(steps)
+    for j in range(out.size):
+        shown = own[j] * (sun * facing[j] + sky * sky_here[j] * sky_share[j])
+        linear = np.float32(shown if shown <= 0.5 else 1.0 - 0.25 / shown)
+        step = linear * many
+        out[j] = min(np.int32(step if step > 0.0 else 0.0), np.int32(steps - 1))
+
+
+@compiled
+def _look_up_srgb(there, step, table, out):
+    for j in range(step.size):
+        if there[j]:
+            out[j] = table[step[j]]
 
 
 @compiled

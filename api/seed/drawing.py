@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from morecantile import tms as matrix_sets
 from pmtiles.tile import zxy_to_tileid
 
-from api.layers import LAYERS, MapFormat, map_layer, nodata_height_m
+from api.layers import LAYERS, MapFormat, nodata_height_m
 from api.seed.archive import ShardIndex
 from api.seed.run_spec import MATRIX_SET, RunSpec, Task
 from api.seed.storage import ShardStore
-from api.workers.block_tiles import BLOCK_TILES, TILE_PX, cut_tiles, empty_tile, encode
+from api.workers.block_tiles import BLOCK_TILES, TILE_PX, cut_tiles, empty_tile, encoded_part
 from api.workers.drawn_blocks import block_of_grid, drawn_block
 from api.workers.map_jobs import heights_picture
 from terrain.errors import InputError
@@ -82,7 +82,7 @@ def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, by
             for col in range(BLOCK_TILES):
                 part = block.part(row * TILE_PX, col * TILE_PX, TILE_PX)
                 if part.there.any():
-                    tiles[row, col] = encode(map_layer(part, spec.layer), spec.layer, spec.format)
+                    tiles[row, col] = encoded_part(part, spec.layer, spec.format)
     side = 2**task.zoom
     places = {(task.y * BLOCK_TILES + row, task.x * BLOCK_TILES + col): body for (row, col), body in tiles.items()}
     by_id = {zxy_to_tileid(task.zoom, x, y): body for (y, x), body in places.items() if x < side and y < side}

@@ -72,7 +72,7 @@ def encoded_tiles(
             part = block.part(row * side, col * side, side)
             here = None if view is None else view.part(row * side, col * side, side, side)
             shown = format in ARRAY_FORMATS or part.there.any()
-            out[row, col] = encode(map_layer(part, layer), layer, format, here) if shown else empty_tile(layer, format, tiles)
+            out[row, col] = encoded_part(part, layer, format, here) if shown else empty_tile(layer, format, tiles)
     return out
 
 
@@ -99,6 +99,13 @@ def check_format(layer: str, format: str) -> None:
         raise InputError("format", format, f"{', '.join(formats)} for layer {layer}")
 
 
+def encoded_part(part: PicturedBlock, layer: str, format: str, view: MapView | None = None) -> bytes:
+    """The bytes of a layer of a part of a block, which lies where a ``view`` does."""
+    if LAYERS[layer].to_look_at and format not in ARRAY_FORMATS and part.opaque.all():
+        return encode(part.color, layer, format, view)  # no alpha is made that would go again
+    return encode(map_layer(part, layer), layer, format, view)
+
+
 def encode(array: np.ndarray, layer: str, format: str, view: MapView | None = None) -> bytes:
     """The bytes of a layer of a map. Layers to compute with are without loss; JPEG has white where there is no surface. What is to
     be looked at has no alpha where nothing is transparent, but in a TIFF, which lies where the ``view`` does.
@@ -109,7 +116,7 @@ def encode(array: np.ndarray, layer: str, format: str, view: MapView | None = No
         return geotiff(array, view, LAYERS[layer].nodata)
     if format == "npy":
         return npy(array)
-    if LAYERS[layer].to_look_at and (array[..., 3] == 255).all():
+    if LAYERS[layer].to_look_at and array.shape[2] == 4 and (array[..., 3] == 255).all():
         array = array[..., :3]
     if LAYERS[layer].to_look_at and format == "webp":
         return _save(Image.fromarray(np.ascontiguousarray(array)), "WEBP", quality=LOSSY_QUALITY, method=2)

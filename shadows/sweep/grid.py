@@ -158,20 +158,25 @@ def fitted_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.stack([a0 + h * (a1 + h * (a2 + h * a3)), a1 + h * (2.0 * a2 + h * 3.0 * a3), a2 + h * 3.0 * a3, a3], axis=1)
 
 
-def bordered(n: int, m: int, begin: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """A new grid (n, m + 2) float32 of NaN from a row on, and the view of it between its borders that is to be filled in.
+EVERY_ROW = slice(None)
+"""Which rows of a grid somebody will look at: all."""
+
+
+def bordered(n: int, m: int, known: slice = EVERY_ROW) -> tuple[np.ndarray, np.ndarray]:
+    """A new grid (n, m + 2) float32 of NaN in the rows that are ``known``, and the view of it between its borders that is to be
+    filled in. Other rows mean nothing.
 
     A line that comes in over the left border meets what lies at its end; the right one, over which lines only leave, repeats
     the last column (``close_border``), so that the last nodes have a line on either side.
     """
     with_border = np.empty((n, m + 2), np.float32)
-    with_border[begin:] = np.nan
+    with_border[known] = np.nan
     return with_border, with_border[:, 1:-1]
 
 
-def close_border(with_border: np.ndarray, begin: int = 0) -> np.ndarray:
-    """The grid with its right border filled in, from a row on."""
-    with_border[begin:, -1] = with_border[begin:, -2]
+def close_border(with_border: np.ndarray, known: slice = EVERY_ROW) -> np.ndarray:
+    """The grid with its right border filled in, in the rows that are ``known``."""
+    with_border[known, -1] = with_border[known, -2]
     return with_border
 
 
@@ -182,22 +187,24 @@ def sweep_nodes(
     entry: LineState | None = None,
     factor: float = 2.0,
     rows: tuple[int, int] = (0, 0),
+    cols: tuple[int, int] | None = None,
     points: SweepPoints | None = None,
     shade: np.ndarray = NO_LEVELS,
     cores: int = 1,
     begin: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """See to the nodes of turned rows [rows[0], rows[1]) and to points whose t is in a range.
+    """See to the nodes of turned rows [rows[0], rows[1]), of all columns or of ``cols``, and to points whose t is in a range.
 
     ``entry`` is what the lines of a coarser grid bring along, whose cells are ``factor`` times as large. Returns which nodes see
-    the sun (n, m) (empty without rows), and of the points whether they do and by how many metres the highest level on their way
-    exceeds theirs. Of other rows nothing is said. ``shade`` (n, m), where it is not empty, is filled in with that level for the nodes; it has borders, too. Rows
-    before ``begin`` hold no ground, and are passed over.
+    the sun (n, m) (empty without rows; nothing is said of others), and of the points whether they do and by how many metres the
+    highest level on their way exceeds theirs. ``shade`` (n, m), where it is not empty, is filled in with that level for the nodes;
+    it has borders, too. Rows before ``begin`` hold no ground, and are passed over.
     """
     n, columns = sheet.level.shape
     first, last = rows
     lit = np.empty((n, columns) if last > first else (0, 0), np.bool_)
-    lit[first:last] = True  # other rows mean nothing: a sheet may be many times as large as what is asked for
+    first_col, last_col = (0, columns - 2) if cols is None else cols
+    lit[first:last, first_col + 1 : last_col + 1] = True  # a sheet may be many times as large as what is asked for
     points = points or SweepPoints(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
     points_lit, points_above_m = np.ones(len(points.row), np.bool_), np.zeros(len(points.row), np.float32)
     base = np.clip(np.ceil(points.row).astype(np.int64) - 1, 0, n - 2)

@@ -251,24 +251,26 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
     row0, col0 = (min(axis) for axis in zip(*starts, strict=True))
     rows, cols = max(row for row, _ in ends) - row0, max(col for _, col in ends) - col0
 
-    first = [
-        int(min(rays.turn.onto(np.array([w.row0 - row0, w.row0 - row0 + w.shape[0] - 1]),
-                               np.array([w.col0 - col0, w.col0 - col0 + w.shape[1] - 1]), rows, cols)[0]))
-        for w in windows
-    ]  # fmt: skip
-    begin = max(min(first, default=rows) - 1, 0)
-    filled = 0 if soft else begin  # nobody looks before it, but for a sun that is tilted as a whole
+    spans = [_turned_rows(rays, w.row0 - row0, w.col0 - col0, w.shape, rows, cols) for w in windows]
+    begin = max(min((first for first, _ in spans), default=rows) - 1, 0)
+    known = (0, None) if soft or detail else (begin, max(end for _, end in spans))  # no row but these is looked at
 
     def turned(put: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
-        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)), filled)
+        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)), slice(*known))
         own = rays.turn.back(inside)
         if windows:
             put(detail, windows, [own[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
-        return close_border(with_border, filled)
+        return close_border(with_border, slice(*known))
 
     sheet = TurnedGrid(turned(rays.put_levels), *rays.places(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
     towards_m = turned(rays.put_towards) if soft else NO_LEVELS
     return GroundWindow(detail, row0, col0, (rows, cols), sheet, towards_m, begin)
+
+
+def _turned_rows(rays: SunRays, row: int, col: int, shape: tuple[int, int], rows: int, cols: int) -> tuple[int, int]:
+    """The first turned row of a window of a grid (rows, cols), and the one after the last."""
+    i, _ = rays.turn.onto(np.array([row, row + shape[0] - 1]), np.array([col, col + shape[1] - 1]), rows, cols)
+    return int(i.min()), int(i.max()) + 1
 
 
 @compiled

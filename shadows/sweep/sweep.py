@@ -156,10 +156,8 @@ def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...
     grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
     ground = grounds[-1]
     targets = _asked_of_nodes(rays, ground, nodes)
-    down, right = targets.window
-    ends = np.array([down.start, down.stop - 1]), np.array([right.start, right.stop - 1])
-    i, j = rays.turn.onto(*ends, *ground.shape)
-    window = slice(int(i.min()), int(i.max()) + 1), slice(int(j.min()) + 1, int(j.max()) + 2)  # behind the left border
+    (first_row, last_row), (first_col, last_col) = targets.rows, targets.cols
+    window = slice(first_row, last_row), slice(first_col + 1, last_col + 1)  # behind the left border
     shade = np.empty(ground.sheet.level.shape, np.float32)  # only the window is asked for: the rest takes no memory
     shade[window] = NO_GROUND_LEVEL
     _swept(grounds, targets, lines, 0.0, shade)
@@ -183,14 +181,15 @@ def strips_of_sun(count: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What is asked of a sweep: the ``nodes`` among a buffer's pixels (rows, cols), which lie in ``rows`` of the turned ground and
-    in a ``window`` of its grid; and the ``others``: their turned rows and columns, t, levels (NaN: the ground's) and metres towards
+    """What is asked of a sweep: the ``nodes`` among a buffer's pixels (rows, cols), which lie in ``rows`` and ``cols`` of the turned
+    ground and in a ``window`` of its grid; and the ``others``: their turned rows and columns, t, levels (NaN: the ground's) and metres towards
     the sun.
     """
 
     t_range: tuple[float, float]
     nodes: np.ndarray
     rows: tuple[int, int]
+    cols: tuple[int, int]
     window: tuple[slice, slice]
     others: np.ndarray
     row: np.ndarray
@@ -219,11 +218,14 @@ def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
     return ends[0] - 1.0, ends[1] + 1.0
 
 
-def _window_of(rays: SunRays, ground: GroundWindow, view: MapView) -> tuple[tuple[int, int], tuple[slice, slice]]:
-    """The rows of the turned ground, and the window of its grid, that a view's nodes lie in."""
+def _window_of(
+    rays: SunRays, ground: GroundWindow, view: MapView
+) -> tuple[tuple[int, int], tuple[int, int], tuple[slice, slice]]:
+    """The rows and the columns of the turned ground, and the window of its grid, that a view's nodes lie in."""
     top, left = int(view.row0) - ground.row0, int(view.col0) - ground.col0
-    i, _ = rays.turn.onto(np.array([top, top + view.rows - 1]), np.array([left, left + view.cols - 1]), *ground.shape)
-    return (int(i.min()), int(i.max()) + 1), (slice(top, top + view.rows), slice(left, left + view.cols))
+    i, j = rays.turn.onto(np.array([top, top + view.rows - 1]), np.array([left, left + view.cols - 1]), *ground.shape)
+    rows, cols = ((int(ends.min()), int(ends.max()) + 1) for ends in (i, j))
+    return rows, cols, (slice(top, top + view.rows), slice(left, left + view.cols))
 
 
 def _asked_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> _Asked:
@@ -238,19 +240,19 @@ def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Aske
     on_triangles = buffer.kind == RELIEF if buffer.lifted is None else (buffer.kind == RELIEF) & ~buffer.lifted
     nodes = buffer.there & on_triangles & on_nodes
     others = buffer.there & ~nodes
-    rows, window = (0, 0), (slice(0), slice(0))
+    rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))
     points = buffer.position_frame_m[others]
     t, level_m, towards_m = rays.t_level_towards(points, buffer.frame)
     if isinstance(view, MapView):
         if nodes.any():
-            rows, window = _window_of(rays, ground, view)
+            rows, cols, window = _window_of(rays, ground, view)
         pixels = np.nonzero(others)
         row, col = view.row0 + pixels[0] * view.row_step, view.col0 + pixels[1] * view.col_step
     else:
         row, col = rays.rows_and_columns(points, buffer.frame)
     turned_row, turned_col = rays.turn.onto(row - ground.row0, col - ground.col0, *ground.shape)
     level_m[on_triangles[others]] = np.nan
-    return _Asked(_t_range(rays, buffer), nodes, rows, window, others, turned_row, turned_col, t, level_m, towards_m)
+    return _Asked(_t_range(rays, buffer), nodes, rows, cols, window, others, turned_row, turned_col, t, level_m, towards_m)
 
 
 def _swept(
@@ -266,7 +268,9 @@ def _swept(
     sheet = ground.tilted(angle)
     own_m = np.cos(angle) * targets.level_m - np.sin(angle) * targets.towards_m
     points = SweepPoints(targets.row, targets.col, targets.t, own_m, LEVEL_ROUNDING * _highest_m(sheet.level, targets))
-    return sweep_nodes(sheet, lines, targets.t_range, entry, 2.0**detail, targets.rows, points, shade, CORES, ground.begin)
+    return sweep_nodes(
+        sheet, lines, targets.t_range, entry, 2.0**detail, targets.rows, targets.cols, points, shade, CORES, ground.begin
+    )
 
 
 def _highest_m(level: np.ndarray, targets: _Asked) -> float:

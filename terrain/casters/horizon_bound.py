@@ -25,14 +25,14 @@ from typing import Literal
 
 import numpy as np
 
-from terrain.cache import MIB, cached
+from terrain.cache import MIB, Cache, Missing, cached
 from terrain.casters.reach import PATCH_QUADS, Patch, Receivers
 from terrain.compiled import compiled
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.geo.world import EARTH_RADIUS_M, World
 from terrain.ground.elevation import Elevation
-from terrain.ground.surface import Surface
+from terrain.ground.surface import RefinedWindow, Surface, refined_row
 from terrain.scene import Scene
 
 DISC_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
@@ -60,6 +60,9 @@ SIDES_AT = ((0.0, 0.0, 0.5, 1.0, 1.0), (0.0, 1.0, 0.5, 0.0, 1.0))
 
 PARTS = 4
 """Parts of a patch along its side."""
+
+LONGEST_RUN = 16
+"""Patches in a row that are read at a time, at most."""
 
 RISE_DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
 """Directions of columns and rows in which it is known how far the rises of a part's facets reach."""
@@ -153,8 +156,31 @@ def own_parts(receivers: Receivers) -> np.ndarray:
 
 def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequence[Patch]) -> PatchGround:
     """The ground of patches of one grid; it is read once, and serves every sun."""
-    known = np.array([_ground_of(world, elevation, grid, patch.row, patch.col) for patch in patches])
+    owner = _grid_of_ground(world, elevation, grid)
+    found = {(patch.row, patch.col): _known_patches.get(owner, patch.row, patch.col) for patch in patches}
+    missing: dict[int, list[int]] = {}
+    for (row, col), parts in found.items():
+        if isinstance(parts, Missing):
+            missing.setdefault(row, []).append(col)
+    surface = Surface(world, elevation, grid)
+    for row, cols in missing.items():
+        for run in _runs(sorted(cols)):
+            for col, parts in zip(run, _read_patches(surface, row, run), strict=True):
+                found[row, col] = parts
+                _known_patches.put(owner, row, col, value=parts)
+    known = np.array([found[patch.row, patch.col] for patch in patches])
     return PatchGround(known[..., 0], known[..., 1], known[..., 3:], known[..., 2] > 0.0)
+
+
+def _runs(numbers: list[int]) -> list[range]:
+    """The runs of numbers, sorted and different, that follow one another; none longer than ``LONGEST_RUN``."""
+    runs: list[range] = []
+    for number in numbers:
+        if runs and runs[-1].stop == number and len(runs[-1]) < LONGEST_RUN:
+            runs[-1] = range(runs[-1].start, number + 1)
+        else:
+            runs.append(range(number, number + 1))
+    return runs
 
 
 def facing_sun(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround) -> np.ndarray:
@@ -258,37 +284,61 @@ def _grid_of(receivers: Receivers) -> Grid:
     return receivers.view.grid
 
 
-@cached("scene", 32 * MIB, size_of=lambda known: known.nbytes + 512)
-def _ground_of(world: World, elevation: Elevation, grid: Grid, row: int, col: int) -> np.ndarray:
-    """``low_m``, ``high_m``, ``whole`` and ``rise_m`` of a patch's parts, float64 (m, 11)."""
-    side, more, quads = PATCH_QUADS + 1, NODES_BEYOND, PATCH_QUADS // PARTS
-    window = Surface(world, elevation, grid).height_window(
-        row * PATCH_QUADS - more, col * PATCH_QUADS - more, side + 2 * more, side + 2 * more
+_known_patches: Cache[np.ndarray] = Cache("terrain.casters.horizon_bound", "scene", 32 * MIB, lambda known: known.nbytes + 512)
+
+
+class _GridOfGround:
+    """Stands for a grid over a scene's ground in the patches' keys."""
+
+
+@cached("scene", MIB, size_of=lambda _: 512)
+def _grid_of_ground(world: World, elevation: Elevation, grid: Grid) -> _GridOfGround:
+    return _GridOfGround()
+
+
+def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
+    """``low_m``, ``high_m``, ``whole`` and ``rise_m`` of the parts of patches that follow one another, float64 (n, m, 11)."""
+    more = NODES_BEYOND
+    window = surface.height_window(
+        row * PATCH_QUADS - more, cols.start * PATCH_QUADS - more, PATCH_QUADS + 1 + 2 * more, len(cols) * PATCH_QUADS + 1 + 2 * more
     )
-    out = np.empty((PARTS * PARTS, 3 + len(RISE_DIRECTIONS)))
-    _parts_of(window.height_m, more, quads, out)
+    out = np.empty((len(cols), PARTS * PARTS, 3 + len(RISE_DIRECTIONS)))
+    refined = isinstance(window, RefinedWindow)
+    height_m = window.coarser.height_m if isinstance(window, RefinedWindow) else window.height_m
+    _parts_of(height_m, refined, window.row0 % 2, window.col0 % 2, more, PATCH_QUADS // PARTS, out)
     return out
 
 
 @compiled
-def _parts_of(height_m, more, quads, out):
-    """Fill a row of ``_ground_of`` for each part of a patch, of whose nodes and ``more`` round them the heights are given."""
-    for number in range(len(out)):
-        row, col = number // PARTS * quads, number % PARTS * quads
-        whole, low, high = True, np.inf, -np.inf
-        for i in range(row, row + quads + 1 + 2 * more):
-            for j in range(col, col + quads + 1 + 2 * more):
-                whole = whole and np.isfinite(height_m[i, j])
-        for i in range(row + more, row + more + quads + 1):
-            for j in range(col + more, col + more + quads + 1):
-                height = height_m[i, j]
-                if height < low:
-                    low = height
-                if height > high:
-                    high = height
-        out[number, 0], out[number, 1] = (low, high) if low <= high else (np.nan, np.nan)
-        out[number, 2] = whole
-        _rises(height_m[row + more : row + more + quads + 1, col + more : col + more + quads + 1], out[number, 3:])
+def _parts_of(height_m, refined, row0, col0, more, quads, out):
+    """Fill the rows of ``_read_patches`` for all parts of patches that follow one another. Given are the heights of their nodes and
+    of ``more`` round them, or of those of a grid that theirs refines, from (row0, col0) on (``refined_row``).
+    """
+    cols = len(out) * PARTS * quads + 1
+    reach, bounds = np.empty((len(RISE_DIRECTIONS), cols), np.float32), np.empty((2, cols), np.float32)
+    missing = np.empty(cols + 2 * more, np.int32)
+    band = np.empty((quads + 1 + 2 * more, cols + 2 * more), np.float32)
+    for down in range(PARTS):
+        missing[:] = 0
+        for i in range(len(band)):
+            row = down * quads + i
+            if refined:
+                refined_row(height_m, row0 + row, col0, band[i])
+            else:
+                band[i] = height_m[row]
+            _count_missing(band[i], missing)
+        nodes = band[more : more + quads + 1]
+        bounds[0], bounds[1] = np.inf, -np.inf
+        for i in range(quads + 1):
+            _widen(nodes[i, more : more + cols], bounds[0], bounds[1])
+        _gather_rises(nodes, more, reach)
+        for number in range(cols // quads):
+            left = number * quads
+            part = out[number // PARTS, down * PARTS + number % PARTS]
+            low, high = bounds[0, left : left + quads + 1].min(), bounds[1, left : left + quads + 1].max()
+            part[0], part[1] = (low, high) if low <= high else (np.nan, np.nan)
+            part[2] = missing[left : left + quads + 1 + 2 * more].max() == 0
+            _farthest_rises(reach[:, left : left + quads + 1], part[3:])
 
 
 def rises(height_m: np.ndarray) -> np.ndarray:
@@ -297,39 +347,97 @@ def rises(height_m: np.ndarray) -> np.ndarray:
 
     A facet has one side of its quad along a row, and one along a column; each of the four pairs of them may be one's.
     """
-    out = np.empty(len(RISE_DIRECTIONS))
-    _rises(np.ascontiguousarray(height_m, np.float32), out)
+    reach, out = np.empty((len(RISE_DIRECTIONS), height_m.shape[1]), np.float32), np.empty(len(RISE_DIRECTIONS))
+    _gather_rises(np.ascontiguousarray(height_m, np.float32), 0, reach)
+    _farthest_rises(reach, out)
     return out
 
 
+# The next loops are written so that they compile to vector instructions: few arrays come together in one. NaN is no height.
+
+
 @compiled
-def _rises(height_m, out):
-    """``rises`` into an array (8,). Sums are those of float32, as heights are."""
-    out[:] = -np.inf
-    rows, cols = height_m.shape
+def _gather_rises(height_m, more, reach):
+    """The largest and the least rises of a sheet's facets, column by column: along rows from a column to the next, along columns,
+    and the sums and differences of both, float32 (8, cols). ``more`` columns beside the sheet on either side are passed over. Sums
+    are those of float32, as heights are: of rounded sums the largest is that of the largest.
+    """
+    rows, cols = height_m.shape[0], reach.shape[1]
+    right, next_right, down = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32), np.empty(cols, np.float32)
+    most_right, least_right = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32)
+    most_down, least_down = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32)
+    for k in range(0, len(reach), 2):
+        reach[k], reach[k + 1] = -np.inf, np.inf
     for i in range(rows):
-        for j in range(cols):
-            height = height_m[i, j]
-            if j + 1 < cols:
-                _reach(out, 0, height_m[i, j + 1] - height)
-            if i + 1 < rows:
-                _reach(out, 2, height_m[i + 1, j] - height)
-            if j + 1 < cols and i + 1 < rows:
-                top, left = height_m[i, j + 1] - height, height_m[i + 1, j] - height
-                bottom, right = height_m[i + 1, j + 1] - height_m[i + 1, j], height_m[i + 1, j + 1] - height_m[i, j + 1]
-                for across in (top, bottom):
-                    for along in (left, right):
-                        _reach(out, 4, across + along)
-                        _reach(out, 6, across - along)
-    for k in range(len(out)):
-        if not np.isfinite(out[k]):
-            out[k] = 0.0
+        here = height_m[i, more : more + cols]
+        _differences(here[1:], here[:-1], next_right)
+        _widen(next_right, reach[1, : cols - 1], reach[0, : cols - 1])
+        if i > 0:
+            _differences(here, height_m[i - 1, more : more + cols], down)
+            _widen(down, reach[3], reach[2])
+            _larger(right, next_right, most_right)
+            _smaller(right, next_right, least_right)
+            _larger(down[:-1], down[1:], most_down)
+            _smaller(down[:-1], down[1:], least_down)
+            _widen_by_sums(most_right, most_down, least_right, least_down, reach[5, : cols - 1], reach[4, : cols - 1])
+            _widen_by_differences(most_right, most_down, least_right, least_down, reach[7, : cols - 1], reach[6, : cols - 1])
+        right, next_right = next_right, right
 
 
 @compiled
-def _reach(out, first, rise):
-    """Note a rise in a direction and in the one against it; NaN is none."""
-    if rise > out[first]:
-        out[first] = rise
-    if -rise > out[first + 1]:
-        out[first + 1] = -rise
+def _farthest_rises(reach, out):
+    """How far the rises (8, cols) of a sheet's columns of nodes reach in ``RISE_DIRECTIONS``: 0 without any. But along the columns
+    no facet of the sheet lies beyond the last one.
+    """
+    for k in range(0, len(reach), 2):
+        count = reach.shape[1] if k == 2 else reach.shape[1] - 1
+        most, least = reach[k, :count].max(), -reach[k + 1, :count].min()
+        out[k], out[k + 1] = most if np.isfinite(most) else 0.0, least if np.isfinite(least) else 0.0
+
+
+@compiled
+def _count_missing(height_m, missing):
+    for j in range(missing.size):
+        missing[j] += np.int32(0) if np.isfinite(height_m[j]) else np.int32(1)
+
+
+@compiled
+def _differences(a, b, out):
+    for j in range(out.size):
+        out[j] = a[j] - b[j]
+
+
+@compiled
+def _larger(a, b, out):
+    for j in range(out.size):
+        out[j] = a[j] if (a[j] > b[j]) | np.isnan(b[j]) else b[j]
+
+
+@compiled
+def _smaller(a, b, out):
+    for j in range(out.size):
+        out[j] = a[j] if (a[j] < b[j]) | np.isnan(b[j]) else b[j]
+
+
+@compiled
+def _widen(values, least, most):
+    for j in range(values.size):
+        value = values[j]
+        least[j] = value if value < least[j] else least[j]
+        most[j] = value if value > most[j] else most[j]
+
+
+@compiled
+def _widen_by_sums(most_a, most_b, least_a, least_b, least, most):
+    for j in range(least.size):
+        high, low = most_a[j] + most_b[j], least_a[j] + least_b[j]
+        most[j] = high if high > most[j] else most[j]
+        least[j] = low if low < least[j] else least[j]
+
+
+@compiled
+def _widen_by_differences(most_a, most_b, least_a, least_b, least, most):
+    for j in range(least.size):
+        high, low = most_a[j] - least_b[j], least_a[j] - most_b[j]
+        most[j] = high if high > most[j] else most[j]
+        least[j] = low if low < least[j] else least[j]

@@ -116,7 +116,8 @@ class Columns:
         exact_row, exact_col, x, y = surface.exact_nodes(row0, col0, rows, cols, surface.stride)
         point, up = self.world.ground(grid.crs, x, y)
         exact = np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1)
-        return interpolated(exact, exact_row, exact_col, surface.stride, row0, col0, rows, cols)
+        placed = interpolated(exact, exact_row, exact_col, surface.stride, row0, col0, rows, cols)
+        return np.ascontiguousarray(np.moveaxis(placed, 0, -1))
 
 
 @dataclass(frozen=True, eq=False)

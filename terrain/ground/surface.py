@@ -180,7 +180,7 @@ class Surface:
             cell = self.cells_of(x, y, everywhere=True)
             assert cell is not None
         located = interpolated(np.stack(cell, axis=-1), exact_rows, exact_cols, stride, row0, col0, rows, cols)
-        return self.elevation.heights_at(self.level, located[..., 0], located[..., 1])
+        return self.elevation.heights_at(self.level, located[0], located[1])
 
     def exact_nodes(self, row0: int, col0: int, rows: int, cols: int, stride: int) -> tuple[int, int, np.ndarray, np.ndarray]:
         """First exact row and column (in strides), and x, y of the exact nodes that a window needs."""
@@ -261,26 +261,43 @@ def _refined(height, row0, col0, rows, cols):
     """
     out = np.empty((rows, cols), np.float32)
     for i in range(rows):
-        _refined_row(height, row0 + i, col0, out[i])
+        refined_row(height, row0 + i, col0, out[i])
     return out
 
 
 @compiled
-def _refined_row(height, row, col0, out):
+def refined_row(height, row, col0, out):
+    """Heights of a row of ``_refined``, 0 or 1 being the first; in loops that compile to vector instructions."""
     above, below = height[row // 2], height[(row + 1) // 2]
-    _middles(above, below, col0, 0, out[col0::2])
-    _middles(above, below, 0, 1, out[1 - col0 :: 2])
+    if col0 == 1:
+        out[0] = _quad_middle(above[0], above[1], below[0], below[1]) if row % 2 else _middle(above[0], above[1])
+    pairs = (out.size - col0) // 2
+    at, last = out[col0 : col0 + 2 * pairs], col0 + 2 * pairs
+    west, east = above[col0 : col0 + pairs], above[col0 + 1 : col0 + 1 + pairs]
+    if row % 2:
+        south_west, south_east = below[col0 : col0 + pairs], below[col0 + 1 : col0 + 1 + pairs]
+        for j in range(pairs):
+            at[2 * j] = _middle(west[j], south_west[j])
+            at[2 * j + 1] = _quad_middle(west[j], east[j], south_west[j], south_east[j])
+    else:
+        for j in range(pairs):
+            at[2 * j] = west[j]
+            at[2 * j + 1] = _middle(west[j], east[j])
+    if last < out.size:
+        out[last] = _middle(above[col0 + pairs], below[col0 + pairs])
 
 
 @compiled
-def _middles(above, below, first, aside, out):
-    """The middles between two rows, below the columns from ``first`` on (``aside`` 0) or between these and the next."""
-    west, east = above[first : first + out.size], above[first + aside : first + aside + out.size]
-    south_west, south_east = below[first : first + out.size], below[first + aside : first + aside + out.size]
-    for j in range(out.size):
-        falling = 0.5 * (np.float64(west[j]) + np.float64(south_east[j]))
-        rising = 0.5 * (np.float64(east[j]) + np.float64(south_west[j]))
-        out[j] = rising if rising > falling or np.isnan(falling) else falling
+def _middle(one, other):
+    return np.float32(0.5 * (np.float64(one) + np.float64(other)))
+
+
+@compiled
+def _quad_middle(west, east, south_west, south_east):
+    """The height in the middle of a quad, on the higher one of its diagonals."""
+    falling = 0.5 * (np.float64(west) + np.float64(south_east))
+    rising = 0.5 * (np.float64(east) + np.float64(south_west))
+    return np.float32(rising if (rising > falling) | np.isnan(falling) else falling)
 
 
 @compiled
@@ -288,15 +305,23 @@ def _refined_there(there, row0, col0, rows, cols):
     """Where there is a surface (rows, cols) at the same places: where there is one at both ends of a diagonal."""
     out = np.empty((rows, cols), np.bool_)
     for i in range(rows):
-        above, below = there[(row0 + i) // 2], there[(row0 + i + 1) // 2]
-        for aside in range(2):
-            first = 0 if aside else col0
-            shown = out[i, (1 - col0 if aside else col0) :: 2]
-            nw, ne = above[first : first + shown.size], above[first + aside : first + aside + shown.size]
-            sw, se = below[first : first + shown.size], below[first + aside : first + aside + shown.size]
-            for j in range(shown.size):
-                shown[j] = (nw[j] & se[j]) | (ne[j] & sw[j])
+        _refined_row_there(there[(row0 + i) // 2], there[(row0 + i + 1) // 2], col0, out[i])
     return out
+
+
+@compiled
+def _refined_row_there(above, below, col0, out):
+    if col0 == 1:
+        out[0] = (above[0] & below[1]) | (above[1] & below[0])
+    pairs = (out.size - col0) // 2
+    at, last = out[col0 : col0 + 2 * pairs], col0 + 2 * pairs
+    nw, ne = above[col0 : col0 + pairs], above[col0 + 1 : col0 + 1 + pairs]
+    sw, se = below[col0 : col0 + pairs], below[col0 + 1 : col0 + 1 + pairs]
+    for j in range(pairs):
+        at[2 * j] = nw[j] & sw[j]
+        at[2 * j + 1] = (nw[j] & se[j]) | (ne[j] & sw[j])
+    if last < out.size:
+        out[last] = above[col0 + pairs] & below[col0 + pairs]
 
 
 @compiled
@@ -312,36 +337,24 @@ def cubic_weights(t):
 
 @compiled
 def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
-    """(rows, cols, k) values of a window from (m, n, k) exact ones every ``stride`` nodes; sums in a fixed order."""
+    """(k, rows, cols) values of a window from (m, n, k) exact ones every ``stride`` nodes; sums in a fixed order."""
     kinds = exact.shape[2]
-    out = np.empty((rows, cols, kinds))
-    along = np.empty((exact.shape[1], kinds))
-    weights = np.empty((stride, 4))  # of the nodes between two exact ones
+    out = np.empty((kinds, rows, cols))
+    along = np.empty(exact.shape[1])
+    weights = np.empty((4, stride))  # of the nodes between two exact ones
     for n in range(stride):
-        weights[n, 0], weights[n, 1], weights[n, 2], weights[n, 3] = cubic_weights(n / stride)
+        weights[0, n], weights[1, n], weights[2, n], weights[3, n] = cubic_weights(n / stride)
     for i in range(rows):
         coarse = (row0 + i) // stride
-        w = cubic_weights((row0 + i - coarse * stride) / stride)
-        m = coarse - first_row
-        for n in range(exact.shape[1]):
-            for k in range(kinds):
-                if w[1] == 1.0:  # an exact row: zero weights must not carry a neighbour's NaN
-                    along[n, k] = exact[m, n, k]
-                else:
-                    along[n, k] = (
-                        w[0] * exact[m - 1, n, k] + w[1] * exact[m, n, k] + w[2] * exact[m + 1, n, k] + w[3] * exact[m + 2, n, k]
-                    )
-        for coarse in range(col0 // stride, (col0 + cols - 1) // stride + 1):
-            n, at = coarse - first_col, coarse * stride - col0
-            begin, end = max(at, 0), min(at + stride, cols)
-            for k in range(kinds):
-                a, b = along[n - 1, k], along[n, k]
-                c, d = along[n + 1, k], along[n + 2, k]
-                if begin == at:
-                    out[i, at, k] = b
-                for j in range(max(begin, at + 1), end):
-                    v = weights[j - at]
-                    out[i, j, k] = v[0] * a + v[1] * b + v[2] * c + v[3] * d
+        m, share = coarse - first_row, (row0 + i - coarse * stride) / stride
+        for k in range(kinds):
+            _of_row(exact[:, :, k], m, share, along)
+            for coarse in range(col0 // stride, (col0 + cols - 1) // stride + 1):
+                n, at = coarse - first_col, coarse * stride - col0
+                begin, end = max(at, 0), min(at + stride, cols)
+                _between_exact(along, n - 1, weights, begin - at, out[k, i, begin:end])
+                if begin == at:  # an exact column: zero weights must not carry a neighbour's NaN
+                    out[k, i, at] = along[n]
     return out
 
 
@@ -379,7 +392,7 @@ def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols
             _of_row(foot, m, share, feet)
             _of_row(per_metre, m, share, slopes)
             if refined:
-                _refined_row(height, row0 % 2 + top + i, col0 % 2, between)
+                refined_row(height, row0 % 2 + top + i, col0 % 2, between)
             heights = between if refined else height[top + i]
             for first in range(col0 // stride * stride, col0 + cols, stride):
                 n = first // stride - first_col
@@ -408,6 +421,16 @@ def _of_row(exact, m, share, out):
 
 
 # The next loops are written so that they compile to vector instructions: slices have their lengths, and rows lie side by side.
+
+
+@compiled
+def _between_exact(values, n, weights, first, out):
+    """Of nodes between the exact columns ``n`` + 1 and ``n`` + 2, from number ``first`` on."""
+    a, b, c, d = values[n], values[n + 1], values[n + 2], values[n + 3]
+    w0, w1 = weights[0][first : first + out.size], weights[1][first : first + out.size]
+    w2, w3 = weights[2][first : first + out.size], weights[3][first : first + out.size]
+    for j in range(out.size):
+        out[j] = w0[j] * a + w1[j] * b + w2[j] * c + w3[j] * d
 
 
 @compiled
@@ -485,7 +508,7 @@ def _positions(exact, first_row, first_col, stride, row0, col0, height):
         for j in range(cols):
             h = np.float64(height[i, j])
             for k in range(3):
-                out[i, j, k] = placed[i, j, k] + h * placed[i, j, k + 3]
+                out[i, j, k] = placed[k, i, j] + h * placed[k + 3, i, j]
     return out
 
 
