@@ -218,7 +218,10 @@ class _Shown:
     def end(self, seeded: Seeded, table: TaskTable) -> None:
         """The run is done."""
         counts = table.counts()
-        said = {"drawn": seeded.drawn, "tasks": sum(counts.values()), "written": [str(path) for path in seeded.written]}
+        said = {
+            "drawn": seeded.drawn, "tasks": sum(counts.values()), "written": [str(path) for path in seeded.written],
+            "drawing_s": round(seeded.drawing_s, 3), "publishing_s": round(seeded.publishing_s, 3),
+        }  # fmt: skip
         self._write(said)
         if self._quiet:
             typer.echo(json.dumps(said, indent=2))

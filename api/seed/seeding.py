@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,10 +25,14 @@ FAILED_LIST = "failed.txt"
 
 @dataclass(frozen=True)
 class Seeded:
-    """What a run did: tasks drawn now, and the outputs that it wrote."""
+    """What a run did: tasks drawn now, the outputs that it wrote, and how long it drew (starting its workers included) and wrote,
+    seconds.
+    """
 
     drawn: int
     written: list[Path]
+    drawing_s: float
+    publishing_s: float
 
 
 def look_for_lost_shards(table: TaskTable, store: ShardStore) -> None:
@@ -59,16 +64,19 @@ def draw_and_publish(
         raise InputError("--max-tasks", most_tasks, f"{waiting} or more, as many as would run (--dry-run says why)")
     if waiting:
         check_writable(store, shards)
-    drawn = 0
+    drawn, drawing_s = 0, 0.0
     for _ in range(TIMES_PUBLISHED):
+        begin = clock.perf_counter()
         drawn += _draw(table, run, start, on_progress)
         _tell_failed(table)
+        drawn_at = clock.perf_counter()
+        drawing_s += drawn_at - begin
         try:
             written = publish(table, run, store, outputs)
         except BrokenShardError:
             continue
         forget_shards(table, store)
-        return Seeded(drawn, written)
+        return Seeded(drawn, written, drawing_s, clock.perf_counter() - drawn_at)
     raise RenderError(f"{shards}: shards are lost or broken as soon as they are written")
 
 

@@ -1,0 +1,199 @@
+"""Speed of ``skugga seed``: one worker and two, a Dask cluster, and tools that cut and encode a ready hillshade.
+
+    python -m benchmarks.seed DATA [--copies 6] [--zooms 8-13] [--gdal2tiles gdal2tiles.py] [--rio rio] [--json FILE]
+
+``DATA`` is a folder of real rasters that has ``mountain/bigtujunga_30m_utm11.tif``: it is mirrored into a mosaic of so many copies
+a side, whose seams are continuous. Everything runs in a folder that is deleted, one after another, in one run: compare the ratios.
+Caches of compiled loops are warm: each command is run once on a small part before it is timed.
+
+`gdal2tiles.py` (Debian's `gdal-bin` and `python3-gdal`) and `rio pmtiles` (`pip install rio-pmtiles`, beside Skugga or in an
+environment of its own: ``--rio``) get a hillshade of the same raster, made before, without cast shadows. What is absent is named and
+left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from pmtiles.reader import MmapSource, Reader
+
+SUN = "--azimuth", "225", "--altitude", "20"
+
+SKUGGA = [sys.executable, "-c", "from api.cli.main import main; main()"]
+
+
+@dataclass(frozen=True)
+class SeedRow:
+    """A run: its name, seconds from start to end, tiles that it wrote, and what it says of itself."""
+
+    name: str
+    seconds: float
+    tiles: int
+    drawing_s: float | None = None
+    publishing_s: float | None = None
+    task_s: float | None = None
+    peak_bytes: int | None = None
+
+
+def mosaic(source: Path, copies: int, target: Path) -> None:
+    """Write a raster mirrored ``copies`` x ``copies`` times."""
+    with rasterio.open(source) as dataset:
+        part, profile = dataset.read(1), dataset.profile
+    rows = [[part[:: 1 if i % 2 == 0 else -1, :: 1 if j % 2 == 0 else -1] for j in range(copies)] for i in range(copies)]
+    whole = np.block(rows)
+    profile |= {"height": whole.shape[0], "width": whole.shape[1], "tiled": True, "compress": "deflate"}
+    profile |= {"blockxsize": 256, "blockysize": 256}
+    with rasterio.open(target, "w", **profile) as dataset:
+        dataset.write(whole, 1)
+
+
+def seeded(folder: Path, name: str, raster: Path, zooms: str, *options: str) -> SeedRow:
+    """``skugga seed`` into an archive of its own."""
+    output = folder / f"{name.replace(' ', '-')}.pmtiles"
+    command = [*SKUGGA, "seed", str(raster), "--zooms", zooms, *SUN, "-o", str(output), "--json", *options]
+    start = time.perf_counter()
+    said = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+    took = time.perf_counter() - start
+    log = [json.loads(line) for line in (Path(f"{output}.seed") / "log.jsonl").read_text(encoding="utf-8").splitlines()]
+    tasks = [each for each in log if "seconds" in each]
+    return SeedRow(
+        name, took, tiles_in(output), said["drawing_s"], said["publishing_s"], sum(each["seconds"] for each in tasks),
+        max(each["peak_bytes"] for each in tasks),
+    )  # fmt: skip
+
+
+def tiles_in(archive: Path) -> int:
+    """Tiles that an archive answers."""
+    with archive.open("rb") as file:
+        return int(Reader(MmapSource(file)).header()["addressed_tiles_count"])
+
+
+@contextmanager
+def cluster(folder: Path, workers: int) -> Iterator[str]:
+    """A Dask cluster of processes on this machine."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        port = one.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+
+    def start(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
+        code = f"import sys\nfrom distributed.cli.dask_{kind} import main\nsys.argv[0] = 'dask'\nmain()"
+        return subprocess.Popen(
+            [sys.executable, "-c", code, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ}
+        )
+
+    processes = [start("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard", "--no-show")]
+    try:
+        for _ in range(workers):
+            processes.append(
+                start("worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(folder))
+            )
+        time.sleep(8.0)
+        yield address
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def others(folder: Path, raster: Path, zooms: str, gdal2tiles: str, rio: str) -> list[SeedRow]:
+    """Tools that cut and encode a hillshade of the raster."""
+    if not shutil.which("gdaldem") or not shutil.which(gdal2tiles):
+        print("gdaldem and gdal2tiles.py are absent: left out")
+        return []
+    shade, rgb, found = folder / "hillshade.tif", folder / "rgb.tif", []
+    quiet: dict[str, Any] = {"check": True, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    subprocess.run(["gdaldem", "hillshade", str(raster), str(shade), "-az", "225", "-alt", "20", "-co", "TILED=YES"], **quiet)
+    tiles = folder / "gdal2tiles"
+    command = [gdal2tiles, "--processes", "2", "-z", zooms, "--xyz", "-w", "none", "-r", "average", str(shade), str(tiles)]
+    start = time.perf_counter()
+    subprocess.run(command, **quiet)
+    found.append(SeedRow("gdal2tiles --processes 2", time.perf_counter() - start, sum(1 for _ in tiles.rglob("*.png"))))
+    if not shutil.which(rio):
+        print("rio is absent: left out")
+        return found
+    subprocess.run(["gdal_translate", "-b", "1", "-b", "1", "-b", "1", "-co", "TILED=YES", str(shade), str(rgb)], **quiet)
+    archive = folder / "rio.pmtiles"
+    first, last = zooms.split("-")
+    command = [
+        rio, "pmtiles", str(rgb), str(archive), "--format", "PNG", "--tile-size", "256", "--zoom-levels", f"{first}..{last}",
+        "-j", "2", "--resampling", "bilinear", "--silent",
+    ]  # fmt: skip
+    start = time.perf_counter()
+    subprocess.run(command, **quiet)
+    found.append(SeedRow("rio pmtiles -j 2", time.perf_counter() - start, tiles_in(archive)))
+    return found
+
+
+def report(rows: list[SeedRow]) -> None:
+    """Print the rows, and what is asked of them."""
+    print(
+        "| run | seconds | tiles | tiles a second | drawing | packing | largest worker |\n| --- | --- | --- | --- | --- | --- | --- |"
+    )
+    for row in rows:
+        drawing, packing = ("" if v is None else f"{v:.1f} s" for v in (row.drawing_s, row.publishing_s))
+        peak = "" if row.peak_bytes is None else f"{row.peak_bytes / 2**20:.0f} MiB"
+        print(f"| {row.name} | {row.seconds:.1f} | {row.tiles} | {row.tiles / row.seconds:.0f} | {drawing} | {packing} | {peak} |")
+    by_name = {row.name: row for row in rows}
+    one, two = by_name["one worker"], by_name["two workers"]
+    print(f"\ntwo workers: {one.seconds / two.seconds:.2f} times one (aim 1.8)")
+    assert one.task_s is not None and two.publishing_s is not None and two.drawing_s is not None
+    print(f"tiles a second and core, of tasks alone: {one.tiles / one.task_s:.0f} (aim 100, reach for 150)")
+    print(f"packing: {two.publishing_s / two.seconds:.1%} of the run of two workers (aim 5 %)")
+    if (dask := by_name.get("Dask, two workers")) is not None and dask.drawing_s is not None:
+        print(f"Dask: drawing takes {dask.drawing_s / two.drawing_s - 1.0:+.1%} beside two workers here (aim 5 %)")
+    for name in ("gdal2tiles --processes 2", "rio pmtiles -j 2"):
+        if name in by_name:
+            other = by_name[name]
+            rate = (two.tiles / two.seconds) / (other.tiles / other.seconds)
+            print(
+                f"{name}: {rate:.2f} times as many tiles a second from two workers, {other.seconds / two.seconds:.2f} of its time"
+            )
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--copies", type=int, default=6)
+    parser.add_argument("--zooms", default="8-13")
+    parser.add_argument("--gdal2tiles", default="gdal2tiles.py")
+    parser.add_argument("--rio", default="rio")
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    source = asked.data / "mountain" / "bigtujunga_30m_utm11.tif"
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        raster, small = folder / "mosaic.tif", folder / "small.tif"
+        mosaic(source, asked.copies, raster)
+        mosaic(source, 1, small)
+        with rasterio.open(raster) as dataset:
+            print(f"{dataset.width} x {dataset.height} cells of {dataset.transform.a:g} m, zooms {asked.zooms}\n")
+        seeded(folder, "warm-up", small, "11-13")
+        rows = [seeded(folder, f"{word} worker{'s' * (count > 1)}", raster, asked.zooms, "--workers", str(count))
+                for word, count in (("one", 1), ("two", 2))]  # fmt: skip
+        with cluster(folder, 2) as address:
+            rows.append(seeded(folder, "Dask, two workers", raster, asked.zooms, "--scheduler", address))
+        rows += others(folder, raster, asked.zooms, asked.gdal2tiles, asked.rio)
+    report(rows)
+    if asked.json is not None:
+        asked.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
