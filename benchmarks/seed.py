@@ -7,8 +7,8 @@ a side, whose seams are continuous. Everything runs in a folder that is deleted,
 Caches of compiled loops are warm: each command is run once on a small part before it is timed.
 
 `gdal2tiles.py` (Debian's `gdal-bin` and `python3-gdal`) and `rio pmtiles` (`pip install rio-pmtiles`, beside Skugga or in an
-environment of its own: ``--rio``) get a hillshade of the same raster, made before, without cast shadows. What is absent is named and
-left out.
+environment of its own: ``--rio``) get a hillshade of the same raster, made before, without cast shadows. What is absent is named
+and left out.
 """
 
 from __future__ import annotations
@@ -142,9 +142,8 @@ def others(folder: Path, raster: Path, zooms: str, gdal2tiles: str, rio: str) ->
 
 def report(rows: list[SeedRow]) -> None:
     """Print the rows, and what is asked of them."""
-    print(
-        "| run | seconds | tiles | tiles a second | drawing | packing | largest worker |\n| --- | --- | --- | --- | --- | --- | --- |"
-    )
+    print("| run | seconds | tiles | tiles a second | drawing | packing | largest worker |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
     for row in rows:
         drawing, packing = ("" if v is None else f"{v:.1f} s" for v in (row.drawing_s, row.publishing_s))
         peak = "" if row.peak_bytes is None else f"{row.peak_bytes / 2**20:.0f} MiB"

@@ -1,0 +1,287 @@
+"""What large pyramids cost, from measured figures, and a simulation of many workers.
+
+    python -m benchmarks.scale measure DATA [--json FILE]    # rates of coordinator, Dask, packing; times of tasks
+    python -m benchmarks.scale tell FILE [--workers 1000] [--money 0.04]
+
+``measure`` draws a mosaic of a real raster with one worker (``benchmarks.seed``), and then finds what the parts that are not spread
+over workers can do: the coordinator with its table (tasks that take no time), Dask (the same on a cluster of this machine), packing.
+``tell`` prints docs/scale.md's tables from that: hours for a country and for the planet, bytes, money at so much per hour of a core,
+and a run of many workers with stragglers and deaths, simulated task by task from the measured times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from api.matrices import ZoomRange
+from api.seed.archive import ArchiveFacts, ShardIndex, write_archive
+from api.seed.drawing import Drawn
+from api.seed.planning import PlannedRun, SeedRequest, plan_run
+from api.seed.run_spec import Task
+from api.seed.running import run_tasks
+from api.seed.storage import FolderStore
+from api.seed.task_table import TaskTable
+from benchmarks.seed import SUN, cluster, mosaic
+from terrain.level.level_source import LevelSource
+from terrain.level.parts import SunSpec
+
+BLOCK_TILES_ALL = 16
+
+EARTH_EQUATOR_M = 40_075_016.7
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Figures of one machine: ``tasks`` with their zoom, seconds, tiles and bytes; tasks a second that the coordinator alone and Dask
+    hand out and note, bytes and tiles a second that are packed.
+    """
+
+    tasks: list[tuple[int, float, int, int]]
+    peak_bytes: int
+    coordinator_per_s: float
+    dask_per_s: float
+    packing_bytes_per_s: float
+    packing_tiles_per_s: float
+
+
+@dataclass(frozen=True)
+class Place:
+    """What is to be drawn: ground of so many square kilometres about a latitude, to the zoom whose pixels are nearest to cells."""
+
+    name: str
+    area_km2: float
+    latitude_deg: float
+    cell_m: float
+
+    @property
+    def zoom(self) -> int:
+        """The last zoom."""
+        return int(np.rint(np.log2(EARTH_EQUATOR_M * np.cos(np.radians(self.latitude_deg)) / 256.0 / self.cell_m)))
+
+    @property
+    def tiles(self) -> float:
+        """Tiles of the last zoom and of those before it, which are a third as many."""
+        side_m = EARTH_EQUATOR_M * np.cos(np.radians(self.latitude_deg)) / 2**self.zoom
+        return float(4.0 / 3.0 * self.area_km2 * 1e6 / side_m**2)
+
+
+PLACES = (
+    Place("Switzerland at 10 m", 41_285.0, 46.8, 10.0),
+    Place("Norway at 10 m", 323_800.0, 65.0, 10.0),
+    Place("all land but Antarctica at 30 m", 134_600_000.0, 30.0, 30.0),
+)
+
+TIMES_OF_DAY = 24
+
+
+class Idle:
+    """A runner whose tasks take no time: what is left is the coordinator's own."""
+
+    def __init__(self) -> None:
+        self._given: deque[Task] = deque()
+
+    def free(self) -> int:
+        """As the protocol says."""
+        return 2000 - len(self._given)
+
+    def submit(self, task: Task) -> None:
+        """As the protocol says."""
+        self._given.append(task)
+
+    def wait(self, timeout_s: float) -> Sequence[Drawn]:
+        """As the protocol says: one at a time, as workers end one by one."""
+        task = self._given.popleft()
+        index, _ = ShardIndex.of({4**12 + 16 * task.id + i: b"tile" for i in range(16)})
+        return [Drawn(task.id, index.to_bytes(), 64, 1.0, 0.1, 0)]
+
+    def close(self) -> None:
+        """As the protocol says."""
+
+
+def planned(folder: Path, raster: Path, zooms: tuple[int, int]) -> tuple[TaskTable, PlannedRun]:
+    """A table of tasks that are all waiting."""
+    table = TaskTable(folder / "idle" / "tasks.sqlite")
+    request = SeedRequest(LevelSource(path=raster), ZoomRange(*zooms), (SunSpec(azimuth=225.0, altitude=20.0),), "color", "png")
+    return table, plan_run(table, request, lambda text: None)
+
+
+def coordinator_per_s(folder: Path, raster: Path) -> float:
+    """Tasks a second that the coordinator hands out and notes."""
+    table, run = planned(folder, raster, (8, 16))
+    with table:
+        count = len(table.waiting())
+        start = time.perf_counter()
+        run_tasks(table, run, Idle(), lambda end: None)
+        return count / (time.perf_counter() - start)
+
+
+def dask_per_s(folder: Path, tasks: int = 2000) -> float:
+    """Tasks a second that take no time by way of a Dask cluster with one worker, two at a time as ``DaskCluster`` has them."""
+    import distributed
+
+    index = bytes(448)
+    with cluster(folder, 1) as address, distributed.Client(address, set_as_default=False) as client:
+        client.submit(_nothing, -1, index, pure=False).result()
+        start = time.perf_counter()
+        waiting = deque(range(tasks))
+        running = [client.submit(_nothing, waiting.popleft(), index, pure=False) for _ in range(20)]
+        done = distributed.as_completed(running)
+        for future in done:
+            future.result()
+            if waiting:
+                done.add(client.submit(_nothing, waiting.popleft(), index, pure=False))
+        return tasks / (time.perf_counter() - start)
+
+
+def _nothing(number: int, index: bytes) -> Drawn:
+    return Drawn(number, index, 0, 0.0, 0.0, 0)
+
+
+def packing(folder: Path, tiles: int = 200_000, tile_bytes: int = 20_000) -> tuple[float, float]:
+    """Bytes and tiles a second from shards into an archive."""
+    body = np.random.default_rng(1).bytes(tile_bytes - 8)
+    store, indexes, first = FolderStore(folder / "pack"), [], (4**12 - 1) // 3
+    for number in range(tiles // BLOCK_TILES_ALL):
+        ids = range(first + number * 16, first + number * 16 + 16)
+        index, content = ShardIndex.of({each: body + each.to_bytes(8, "big") for each in ids})
+        store.write(f"{number % 256:02x}/{number}", content)
+        indexes.append(index)
+    start = time.perf_counter()
+    facts = ArchiveFacts("png", (0.0, 0.0, 1.0, 1.0), 12, 12, {})
+    write_archive(folder / "packed.pmtiles", indexes, lambda i: store.read(f"{i % 256:02x}/{i}"), facts)
+    took = time.perf_counter() - start
+    return tiles * tile_bytes / took, tiles / took
+
+
+def measure(data: Path) -> Measured:
+    """Draw, and find the rates."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        raster, output = folder / "mosaic.tif", folder / "out.pmtiles"
+        mosaic(data / "mountain" / "bigtujunga_30m_utm11.tif", 6, raster)
+        command = [sys.executable, "-c", "from api.cli.main import main; main()", "seed", str(raster), "--zooms", "8-13", *SUN]
+        subprocess.run([*command, "-o", str(output), "--workers", "1", "--json"], check=True, stdout=subprocess.DEVNULL)
+        log = [json.loads(line) for line in (Path(f"{output}.seed") / "log.jsonl").read_text(encoding="utf-8").splitlines()]
+        done = [each for each in log if "seconds" in each]
+        with TaskTable(Path(f"{output}.seed") / "tasks.sqlite") as table:
+            counts = {
+                number: len(ShardIndex.from_bytes(index).ids) for number, _, index in table.done("azimuth=225.0&altitude=20.0")
+            }
+        tasks = [(each["zoom"], each["seconds"], counts[each["task"]], each["bytes"]) for each in done]
+        bytes_per_s, tiles_per_s = packing(folder)
+        return Measured(
+            tasks, max(each["peak_bytes"] for each in done), coordinator_per_s(folder, raster), dask_per_s(folder), bytes_per_s,
+            tiles_per_s,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A run of many workers: hours from start to end, the share of the workers' time that is drawing, tasks that were lost."""
+
+    hours: float
+    busy: float
+    lost: int
+
+
+def simulate(
+    task_s: np.ndarray, tasks: int, workers: int, per_s: float, slow_share: float, slow_factor: float, deaths_per_hour: float,
+    heaviest_first: bool = True, seed: int = 1,
+) -> Simulated:  # fmt: skip
+    """Hand out tasks of measured times to workers, of whom some are slow by a factor, and any dies so often an hour, losing its task,
+    and is back after a minute. The coordinator hands out ``per_s`` tasks a second at most.
+    """
+    rng = np.random.default_rng(seed)
+    times = rng.choice(task_s, tasks)
+    if heaviest_first:
+        times = np.sort(times)[::-1]
+    waiting = deque(times.tolist())
+    slower = np.where(rng.random(workers) < slow_share, slow_factor, 1.0)
+    free = [(0.0, worker) for worker in range(workers)]
+    heapq.heapify(free)
+    coordinator, end, busy, lost = 0.0, 0.0, 0.0, 0
+    while waiting:
+        at, worker = heapq.heappop(free)
+        coordinator = max(coordinator, at) + 1.0 / per_s
+        takes = waiting.popleft() * slower[worker]
+        dies = rng.exponential(3600.0 / deaths_per_hour) if deaths_per_hour else np.inf
+        if dies < takes:
+            lost += 1
+            waiting.append(takes / slower[worker])
+            heapq.heappush(free, (coordinator + dies + 60.0, worker))
+            continue
+        busy += takes
+        end = max(end, coordinator + takes)
+        heapq.heappush(free, (coordinator + takes, worker))
+    return Simulated(end / 3600.0, busy / (end * workers), lost)
+
+
+def tell(found: Measured, workers: int, money: float) -> None:
+    """Print the tables."""
+    seconds = np.array([task[1] for task in found.tasks])
+    tiles = sum(task[2] for task in found.tasks)
+    rate, tile_bytes = tiles / seconds.sum(), sum(task[3] for task in found.tasks) / tiles
+    full = np.array([task[1] for task in found.tasks if task[2] == BLOCK_TILES_ALL])
+    print(f"tiles a second and core {rate:.0f}; bytes a tile {tile_bytes:.0f}; worker's peak {found.peak_bytes / 2**20:.0f} MiB")
+    print(
+        f"full tasks: {np.median(full):.3f} s in the median, {np.quantile(full, 0.95):.3f} in one of 20, {full.max():.3f} at most"
+    )
+    print(f"coordinator {found.coordinator_per_s:.0f} tasks a second, Dask {found.dask_per_s:.0f}; ", end="")
+    print(f"packing {found.packing_bytes_per_s / 1e6:.0f} MB and {found.packing_tiles_per_s:.0f} tiles a second\n")
+    print(f"| place | last zoom | tiles, {TIMES_OF_DAY} times | core hours | bytes | money | packing, one disk |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for place in PLACES:
+        count = place.tiles * TIMES_OF_DAY
+        hours = count / rate / 3600.0
+        packing_h = max(count * tile_bytes / found.packing_bytes_per_s, count / found.packing_tiles_per_s) / 3600.0
+        size = count * tile_bytes / 1e9
+        print(
+            f"| {place.name} | {place.zoom} | {count / 1e6:,.1f} million | {hours:,.0f} | {size:,.0f} GB | {hours * money:,.0f} | "
+            f"{packing_h:,.1f} h |"
+        )
+    print(f"\n| {workers} workers, all land | hours | workers' time that is drawing | tasks lost |\n| --- | --- | --- | --- |")
+    tasks = int(PLACES[-1].tiles / BLOCK_TILES_ALL)
+    for name, per_s, slow, deaths, heaviest in (
+        ("as measured, no coordinator's limit", 1e9, 0.0, 0.0, True),
+        ("the coordinator alone", found.coordinator_per_s, 0.0, 0.0, True),
+        ("by Dask", found.dask_per_s, 0.0, 0.0, True),
+        ("1 in 100 workers takes five times as long", found.coordinator_per_s, 0.01, 0.0, True),
+        ("and each dies once in 10 hours", found.coordinator_per_s, 0.01, 0.1, True),
+        ("the same, tasks in any order", found.coordinator_per_s, 0.01, 0.1, False),
+    ):
+        run = simulate(seconds, tasks, workers, per_s, slow, 5.0, deaths, heaviest)
+        print(f"| {name} | {run.hours:.2f} | {run.busy:.0%} | {run.lost} |")
+
+
+def main() -> None:
+    """Measure, or tell."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    measuring = commands.add_parser("measure")
+    measuring.add_argument("data", type=Path)
+    measuring.add_argument("--json", type=Path, default=Path("scale.json"))
+    telling = commands.add_parser("tell")
+    telling.add_argument("file", type=Path)
+    telling.add_argument("--workers", type=int, default=1000)
+    telling.add_argument("--money", type=float, default=0.04)
+    asked = parser.parse_args()
+    if asked.command == "measure":
+        asked.json.write_text(json.dumps(asdict(measure(asked.data)), indent=1) + "\n", encoding="utf-8")
+    else:
+        tell(Measured(**json.loads(asked.file.read_text(encoding="utf-8"))), asked.workers, asked.money)
+
+
+if __name__ == "__main__":
+    main()
