@@ -3,10 +3,11 @@
     python -m benchmarks.scale measure DATA [--json FILE]    # rates of coordinator, Dask, packing; times of tasks
     python -m benchmarks.scale tell FILE [--workers 1000] [--money 0.04]
 
-``measure`` draws a mosaic of a real raster with one worker (``benchmarks.seed``), and then finds what the parts that are not spread
-over workers can do: the coordinator with its table (tasks that take no time), Dask (the same on a cluster of this machine), packing.
-``tell`` prints docs/scale.md's tables from that: hours for a country and for the planet, bytes, money at so much per hour of a core,
-and a run of many workers with stragglers and deaths, simulated task by task from the measured times.
+``measure`` draws a mosaic of a real raster with one worker (``benchmarks.seed``), and then finds what the parts that are not
+spread over workers can do: the coordinator with its table (tasks that take no time), Dask (the same on a cluster here),
+packing.
+``tell`` prints docs/scale.md's tables from that: hours for a country and for the planet, bytes, money at so much per hour of a
+core, and a run of many workers with stragglers and deaths, simulated task by task from the measured times.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ EARTH_EQUATOR_M = 40_075_016.7
 
 @dataclass(frozen=True)
 class Measured:
-    """Figures of one machine: ``tasks`` with their zoom, seconds, tiles and bytes; tasks a second that the coordinator alone and Dask
-    hand out and note, bytes and tiles a second that are packed.
+    """Figures of one machine: ``tasks`` with their zoom, seconds, tiles and bytes; tasks a second that the coordinator alone and
+    Dask hand out and note, bytes and tiles a second that are packed.
     """
 
     tasks: list[tuple[int, float, int, int]]
@@ -119,7 +120,7 @@ def planned(folder: Path, raster: Path, zooms: tuple[int, int]) -> tuple[TaskTab
 
 def coordinator_per_s(folder: Path, raster: Path) -> float:
     """Tasks a second that the coordinator hands out and notes."""
-    table, run = planned(folder, raster, (8, 16))
+    table, run = planned(folder, raster, (8, 15))
     with table:
         count = len(table.waiting())
         start = time.perf_counter()
@@ -200,8 +201,8 @@ def simulate(
     task_s: np.ndarray, tasks: int, workers: int, per_s: float, slow_share: float, slow_factor: float, deaths_per_hour: float,
     heaviest_first: bool = True, seed: int = 1,
 ) -> Simulated:  # fmt: skip
-    """Hand out tasks of measured times to workers, of whom some are slow by a factor, and any dies so often an hour, losing its task,
-    and is back after a minute. The coordinator hands out ``per_s`` tasks a second at most.
+    """Hand out tasks of measured times to workers, of whom some are slow by a factor, and any dies so often an hour, losing its
+    task, and is back after a minute. The coordinator hands out ``per_s`` tasks a second at most.
     """
     rng = np.random.default_rng(seed)
     times = rng.choice(task_s, tasks)

@@ -1,0 +1,23 @@
+"""The renderer's version is raised whenever pictures become others: pyramids of before would mix with those of after."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from shadows.render import RENDERER_VERSION
+
+GOLDEN = Path(__file__).resolve().parents[2] / "golden"
+
+PICTURES = {1: "4653dc1e7c9d2b5e"}
+"""The digest of all golden pictures, for each version of the renderer."""
+
+
+def test_golden_pictures_have_not_changed_without_the_renderers_version():
+    digest = hashlib.blake2b(digest_size=8)
+    for path in sorted(GOLDEN.rglob("*.png")):
+        digest.update(path.name.encode() + path.read_bytes())
+    assert digest.hexdigest() == PICTURES[RENDERER_VERSION], (
+        "golden pictures were changed: raise RENDERER_VERSION in shadows/render.py where the pictures of tiles are other ones, "
+        "and put the new digest here"
+    )
