@@ -159,3 +159,8 @@ def make_rasters(folder: Path, raster: Path) -> list[BigRaster]:
     folder.mkdir(parents=True, exist_ok=True)
     sheet = sheet_of(raster)
     return [*(make_cog(folder, sheet, side) for side in COG_SIDES), make_vrt(folder, sheet)]
+
+
+def paths_in(folder: Path) -> list[Path]:
+    """Where the rasters of a folder are, in order of size."""
+    return [*(folder / f"relief_{side}.tif" for side in COG_SIDES), folder / f"relief_{VRT_CELLS}.vrt"]

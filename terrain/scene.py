@@ -23,6 +23,7 @@ from terrain.ground.collar import collar_of
 from terrain.ground.elevation import Elevation
 from terrain.ground.generated_ground import generated_ground
 from terrain.ground.geolocate import Geolocator
+from terrain.ground.overview import command_for
 from terrain.ground.surface import Surface
 from terrain.level.bundled import BUNDLED
 from terrain.level.level import SUN, LoadedLevel
@@ -131,7 +132,16 @@ class Scene:
         in_feet = any("foot" in (axis.unit_name or "").lower() for axis in self.elevation.crs.axis_info)
         return (
             *(() if collar is None else (collar.warning,)),
+            *((self._overviews_warning,) if self.elevation.lacks_overviews else ()),
             *((FEET_WARNING,) if in_feet and self.elevation.units is None else ()),
+        )
+
+    @property
+    def _overviews_warning(self) -> str:
+        cells = self.elevation.rows * self.elevation.cols / 1e6
+        return (
+            f"the raster of {cells:,.0f} million cells lacks overviews, so that zoomed-out tiles read most of it: "
+            f"'{command_for(self.elevation.name)}' makes them beside it"
         )
 
     @cached_property

@@ -2,7 +2,8 @@
 
 Everything here goes by light space, where the earth's curvature is in the points already: ground can shade a block if it
 lies before the block's farthest receiver, within its width, and not wholly below its lowest receiver as the sun sees it.
-The candidates come from the raster's overview; the ground that casts is then read on the block's own grid (so that
+The candidates come from the raster's overview, those near a block that is small beside its cells from what is known of these
+(``terrain.casters.fine_cells``); the ground that casts is then read on the block's own grid (so that
 neighbouring blocks see identical casters), and ever more coarsely from ``FULL_DETAIL_NODES`` on, sooner where the grid is much
 finer than the raster.
 """
@@ -16,6 +17,7 @@ import numpy as np
 from pyproj import CRS
 
 from terrain.cache import MIB, cached
+from terrain.casters.fine_cells import fine_cells
 from terrain.gbuffer.bare_nodes import BareNodes
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.camera import PerspectiveView
@@ -38,6 +40,12 @@ NODES_A_CELL, LEAST_DETAIL_NODES = 16, 2 * PATCH_QUADS
 """Where nodes lie closer than this many to a raster's cell, they show its bilinear ground and nothing new: full detail ends as many
 times sooner, but no sooner than this. Else maps of centimetres would read ground in millions of patches.
 """
+
+CELL_SLACK = 1.5
+"""How far from an overview cell's centre its ground may be, in cells, with a margin."""
+
+COARSE_CELL_NODES = PATCH_QUADS / 4
+"""Overview cells of a greater half extent, in nodes, are looked at in finer ones."""
 
 UNKNOWN_RELIEF_M = 1500.0
 """What ground beyond the raster is taken to rise to above a block's lowest point, unless the level itself is higher."""
@@ -159,13 +167,19 @@ def _sun_shines(scene: Scene, buffer: Receivers) -> bool:
 
 def _can_shade(scene: Scene, buffer: Receivers) -> np.ndarray:
     """Which of the overview's cells lie, as the sun sees them, before a buffer's points, bool (rows, cols)."""
+    light, slack = _overview_in_light(scene)
+    return _before(scene, buffer, light, slack)
+
+
+def _before(scene: Scene, buffer: Receivers, light_m: np.ndarray, slack_m: float) -> np.ndarray:
+    """Which points in light space (..., 3) lie, as the sun sees them, before a buffer's points, or less than ``slack_m`` beside."""
     assert scene.light is not None
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
-    light, slack = _overview_in_light(scene)  # a cell's ground lies within its own width of its centre
-    return (
-        (light[..., 0] >= low[0] - slack) & (light[..., 0] <= high[0] + slack)
-        & (light[..., 1] >= low[1] - slack) & (light[..., 2] <= high[2] + slack)
+    found: np.ndarray = (
+        (light_m[..., 0] >= low[0] - slack_m) & (light_m[..., 0] <= high[0] + slack_m)
+        & (light_m[..., 1] >= low[1] - slack_m) & (light_m[..., 2] <= high[2] + slack_m)
     )  # fmt: skip
+    return found
 
 
 def _reach(scene: Scene, buffer: GeometryBuffer | BareNodes, known_m: float) -> Reach:
@@ -221,7 +235,7 @@ def _overview_in_light(scene: Scene) -> tuple[np.ndarray, float]:
     point, up = _overview_on_earth(scene.world, scene.elevation)
     assert scene.light is not None
     top = point + up * scene.elevation.overview.high_m[..., None]
-    return scene.light.from_earth(top), _overview_cell_m(scene) * 1.5
+    return scene.light.from_earth(top), _overview_cell_m(scene) * CELL_SLACK
 
 
 @cached("scene", 256 * MIB)
@@ -281,7 +295,7 @@ class _CellsInSun:
 
 
 def _cells_beside(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _CellsInSun]:
-    """The overview's cells that can shade a block: which lie outside of it, bool (rows, cols), and all of them on its grid."""
+    """The overview's cells that can shade a block: which lie outside of it, bool (rows, cols); and what of them can, in nodes."""
     can = _can_shade(scene, buffer)
     grid, own = _on_grid(buffer)
     row, col, half = overview_on_grid(scene.world, scene.elevation, grid)
@@ -291,12 +305,23 @@ def _cells_beside(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _CellsIn
     period = _columns_round_the_earth(grid)
     if period is not None and len(col):
         col = col + period * np.rint((own.col0 + cols / 2 - np.median(col)) / period)
-    away = np.maximum.reduce(
-        [own.row0 - row, row - (own.row0 + rows - 1), own.col0 - col, col - (own.col0 + cols - 1), np.zeros_like(row)]
-    )
     outside = can.copy()
-    outside[can] = away > 0
-    return outside, _CellsInSun(row, col, half, away)
+    outside[can] = _away(own, row, col) > 0
+    if len(half) and float(np.median(half)) > COARSE_CELL_NODES:
+        assert scene.light is not None
+        fine = fine_cells(scene, scene.light, grid, can, (col, half), period)
+        if fine is not None:
+            kept = _before(scene, buffer, fine.light_m, fine.wide_m * CELL_SLACK) & np.isfinite(fine.row) & np.isfinite(fine.col)
+            row, col, half = fine.row[kept], fine.col[kept], fine.half[kept]
+    return outside, _CellsInSun(row, col, half, _away(own, row, col))
+
+
+def _away(own: NodeHeights | ColumnWindow, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    """How far places (n,) are from a block's own ground, in nodes."""
+    rows, cols = own.shape
+    beside = [own.row0 - row, row - (own.row0 + rows - 1), own.col0 - col, col - (own.col0 + cols - 1), np.zeros_like(row)]
+    away: np.ndarray = np.maximum.reduce(beside)
+    return away
 
 
 def _patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]:

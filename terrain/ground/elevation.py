@@ -32,7 +32,7 @@ from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
 from terrain.ground.cells import cell_heights
 from terrain.ground.georeference import crs_of
 from terrain.ground.open_raster import dataset_of_heights
-from terrain.ground.overview import Overview, check_overviews, read_overview
+from terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
 from terrain.level.bundled import BUNDLED
 from terrain.level.gdal_guard import cap_caches
 from terrain.level.parts import METRES_PER_UNIT, GroundSurface, Units
@@ -350,9 +350,14 @@ class Elevation:
         return max(self.rows // 2**level, 1), max(self.cols // 2**level, 1)
 
     def _read_overview(self) -> Overview:
-        check_overviews(self.name, self.rows, self.cols, self._dataset.overviews(1))
+        factors = self._dataset.overviews(1)
+        check_overviews(self.name, self.rows, self.cols, factors)
+        self.lacks_overviews = lacks_overviews(self.rows, self.cols, factors)
         found = read_overview(_Levels(self), self.rows, self.cols)
-        return replace(found, heights_m=self._above_water(found.heights_m), high_m=self._above_water(found.high_m))
+        fine = None if found.fine_high_m is None else self._above_water(found.fine_high_m)
+        return replace(
+            found, heights_m=self._above_water(found.heights_m), high_m=self._above_water(found.high_m), fine_high_m=fine
+        )  # fmt: skip
 
     def _settle_resampling(self) -> None:
         """After what was read by nearest cells: averages from here on, unless there was an unmarked sentinel in it."""

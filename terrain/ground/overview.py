@@ -20,11 +20,14 @@ from terrain.ground.open_raster import EXACT_HIGH_CELLS
 OVERVIEW_CELLS = 512
 """Longest side of the overview that reach and relief are read from."""
 
-MOST_CELLS_READ = 4_000_000_000
-"""Cells that are read for that overview where the file has none near it: that takes a minute."""
+MOST_CELLS_READ = 1_000_000_000
+"""Cells that are read for that overview where the file has none near it: some ten seconds, and as many for a zoomed-out tile."""
 
 LARGEST_STEP = 4
 """How many times coarser a file's next overview may be: a coarse window then reads 16 cells for one."""
+
+FINE_LEVEL, MOST_FINE_CELLS = 5, 16_000_000
+"""The level of which the highest ground is kept besides that of a coarser overview, or the finest of so many cells."""
 
 MEANS_ROWS = 64
 """Rows of means that are read at a time where a large raster's highest ground is looked for."""
@@ -36,13 +39,16 @@ class Overview:
 
     ``heights_m`` are means; ``high_m`` is the highest ground of each cell (for rasters over ``EXACT_HIGH_CELLS`` cells estimated
     from about as many finer means: the highest of a mean's neighbourhood plus half its range). ``lowest_m`` is the lowest ground
-    of all, under water too (estimated likewise).
+    of all, under water too (estimated likewise). Of a raster whose overview is coarser than ``FINE_LEVEL``, ``fine_high_m`` is the
+    highest ground of the cells of ``fine_level``, as many as lie in the overview's; else ``None``.
     """
 
     heights_m: np.ndarray
     high_m: np.ndarray
     level: int
     lowest_m: float
+    fine_high_m: np.ndarray | None = None
+    fine_level: int = 0
 
 
 class LevelReader(Protocol):
@@ -85,7 +91,7 @@ def check_overviews(source: str, rows: int, cols: int, factors: Sequence[int]) -
     ready = max((factor for factor in factors if factor <= 2**level), default=1)
     if rows * cols > MOST_CELLS_READ * ready**2:
         had = f"{cols} x {rows} cells and no overview of them" if ready == 1 else f"overviews of {ready} cells at most"
-        needed = f"overviews of a raster of more than {MOST_CELLS_READ:.2g} cells"
+        needed = f"overviews of a raster of more than {MOST_CELLS_READ / 1e6:,.0f} million cells"
         raise SourceError(source, had, f"{needed}; '{command_for(source)}' makes them beside it, as does gdaladdo")
 
 
@@ -100,10 +106,13 @@ def read_overview(ground: LevelReader, rows: int, cols: int) -> Overview:
     if rows * cols > EXACT_HIGH_CELLS:
         ground.read(level, 0, shape[0], 0, shape[1])  # single cells: is there a sentinel among them?
         ground.settle()
-        high, lowest_m = _estimated_high(ground, level, _finest_level(rows, cols, level))
-    else:
-        high, lowest_m = _exact_high(ground, level, rows, cols)
-        ground.settle()
+        kept = max(_finest_level(rows, cols, level, MOST_FINE_CELLS), min(FINE_LEVEL, level))
+        fine, lowest_m = _estimated_high(ground, kept, _finest_level(rows, cols, kept, EXACT_HIGH_CELLS), level)
+        high = _highest_below(fine, 2 ** (level - kept))
+        means = ground.read(level, 0, shape[0], 0, shape[1])
+        return Overview(means, high, level, lowest_m, *((fine, kept) if kept < level else ()))
+    high, lowest_m = _exact_high(ground, level, rows, cols)
+    ground.settle()
     return Overview(ground.read(level, 0, shape[0], 0, shape[1]), high, level, lowest_m)
 
 
@@ -120,15 +129,17 @@ def _exact_high(ground: LevelReader, level: int, rows: int, cols: int) -> tuple[
     return high, lowest_m
 
 
-def _finest_level(rows: int, cols: int, level: int) -> int:
-    """The finest level of at most ``EXACT_HIGH_CELLS`` cells."""
-    return next((finer for finer in range(level) if (rows >> finer) * (cols >> finer) <= EXACT_HIGH_CELLS), level)
+def _finest_level(rows: int, cols: int, level: int, most: int) -> int:
+    """The finest level of at most so many cells, up to one that there is."""
+    return next((finer for finer in range(level) if (rows >> finer) * (cols >> finer) <= most), level)
 
 
-def _estimated_high(ground: LevelReader, level: int, finer: int) -> tuple[np.ndarray, float]:
-    """The same from a finer level's means: ground varies within a cell about as it does from cell to cell."""
-    (m, n), (rows, _) = ground.level_shape(level), ground.level_shape(finer)
-    per = 2 ** (level - finer)
+def _estimated_high(ground: LevelReader, kept: int, finer: int, level: int) -> tuple[np.ndarray, float]:
+    """The highest ground of the cells of the level ``kept`` that lie in whole ones of the coarser ``level``, and the lowest of all,
+    from the means of a ``finer`` level: ground varies within a cell about as it does from cell to cell.
+    """
+    per, rows = 2 ** (kept - finer), ground.level_shape(finer)[0]
+    m, n = (count * 2 ** (level - kept) for count in ground.level_shape(level))
     high, lowest_m = np.full((m, n), np.nan, np.float32), np.nan
     count = max(MEANS_ROWS // per, 1)
     for first in range(0, m, count):
@@ -137,12 +148,18 @@ def _estimated_high(ground: LevelReader, level: int, finer: int) -> tuple[np.nda
         mean = ground.read(finer, top, bottom, 0, ground.level_shape(finer)[1])
         above = maximum_filter(np.nan_to_num(mean, nan=-np.inf), size=3, mode="nearest")
         below = minimum_filter(np.nan_to_num(mean, nan=np.inf), size=3, mode="nearest")
-        half_range = np.where(np.isfinite(above), (above - below) / 2, 0.0)
+        half_range = np.where(np.isfinite(above), above - below, 0.0) / 2
         own = slice(first * per - top, last * per - top), slice(0, n * per)
-        peak = (above + half_range)[own].reshape(last - first, per, n, per).max(axis=(1, 3))
-        high[first:last] = np.where(np.isfinite(peak), peak, np.nan)
+        high[first:last] = _highest_below((above + half_range)[own], per)
         lowest_m = float(np.fmin(lowest_m, _lowest(np.where(np.isfinite(below), below - half_range, np.nan))))
     return high, lowest_m
+
+
+def _highest_below(high_m: np.ndarray, per: int) -> np.ndarray:
+    """The highest of each ``per`` x ``per`` cells, NaN where none is finite."""
+    rows, cols = high_m.shape
+    top = np.where(np.isfinite(high_m), high_m, -np.inf).reshape(rows // per, per, cols // per, per).max(axis=(1, 3))
+    return np.where(np.isfinite(top), top, np.nan).astype(np.float32)
 
 
 def _lowest(height_m: np.ndarray) -> float:

@@ -1,0 +1,288 @@
+"""What big rasters cost: time to open them, memory of a render process, time of a metatile, of ``skugga shade``, and far shadows.
+
+    python -m benchmarks.big_elevation FOLDER [--raster ../shared/data/mountain/bigtujunga_30m_utm11.tif] [--only worker ...]
+
+FOLDER takes 6 GB: COGs of 2,500, 10,000 and 40,000 cells a side and a virtual raster of 100,000 (``benchmarks.big_rasters``), which
+are made where they are not there, and stay. The overviews of the virtual raster are made as by ``skugga overviews``.
+
+**open**: a level and its scene, in a fresh process. **worker**: a render process, warmed up as the service does it, and the peak
+of its memory (``VmHWM``) over one block of 16 tiles, a fresh process for each zoom; the block's time is that of the first one.
+**flat**: seconds of CPU a block of 1, 4, 16 and 64 blocks round the middle, whose ground is forgotten before each repeat. **sizes**
+of the block in the middle, of rasters of all sizes over the same ground, the same. **shade**: squares of the virtual raster, as by
+``skugga shade --bounds``. **far**: where a mountain's shadow ends under a sun that is 2 degrees high 60 km away from it, in tiles
+of all zooms and in ``shade``'s grid. Each is a process of its own; medians, and from the least to the greatest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from morecantile import tms as matrix_sets
+from pyproj import CRS
+
+from api.http.matrices import zoom_range
+from api.overviews import make_overviews, missing_overviews
+from api.shade import raster_view, write_shade
+from api.workers.jobs import BlockJob, LevelKey, PictureRequest, Tiles
+from api.workers.render_worker import WorkerState, run_job, tiles_view
+from api.workers.warm_up import warm_up
+from benchmarks.big_rasters import EPSG, MIDDLE_XY, make_rasters, mountain_xy, paths_in
+from selector.select import plan_of_view
+from shadows.render import render_frame
+from terrain.cache import clear_caches
+from terrain.geo.grid import BLOCK_PX, Grid, MapView, blocks_of, tile_grid
+from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+
+MERCATOR_SET = "WebMercatorQuad"
+BLOCK_COUNTS = 1, 4, 16, 64
+SUN = SunSpec(azimuth=113.0, altitude=30.0)
+FAR_KM = 60.0
+KIB_A_MIB = 1024
+SQUARES_KM = 30.0, 60.0, 120.0
+"""Sides of what is shaded."""
+
+
+def status_mib(name: str) -> float:
+    """A figure of this process's memory, MiB: ``VmRSS`` (now) or ``VmHWM`` (its peak)."""
+    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    return int(next(line for line in lines if line.startswith(f"{name}:")).split()[1]) / KIB_A_MIB
+
+
+def forget_peak() -> None:
+    """Let ``VmHWM`` be the peak from now on."""
+    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
+def key_of(raster: Path) -> LevelKey:
+    return LevelKey(path=raster, version="1")
+
+
+def zooms_of(scene: Scene) -> dict[str, int]:
+    """The zooms at which a level is looked at, by what they are."""
+    assert scene.bounds_lon_lat is not None
+    cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    served = zoom_range(matrix_sets.get(MERCATOR_SET), scene.world, scene.bounds_lon_lat, cell_m)
+    assert served is not None
+    own = served.last - 3
+    return {"lowest": served.first, "middle": (served.first + own) // 2, "own": own, "last": served.last}
+
+
+def block_job(scene: Scene, raster: Path, zoom: int, down: int = 0, right: int = 0) -> BlockJob:
+    """The block at the middle of a level, or so many further on."""
+    view = tiles_view(scene, Tiles(matrix_set=MERCATOR_SET, zoom=zoom))
+    row, col = int(view.row0) // BLOCK_PX + down, int(view.col0) // BLOCK_PX + right
+    request = PictureRequest(sun=SUN)
+    return BlockJob(level=key_of(raster), matrix_set=MERCATOR_SET, zoom=zoom, block_x=col, block_y=row, tiles=4, request=request)
+
+
+def opened(raster: Path) -> dict[str, float]:
+    """Time and memory of a level and its scene."""
+    before_mib, start = status_mib("VmRSS"), time.perf_counter()
+    loaded = load_level(raster)
+    level_s = time.perf_counter() - start
+    scene = build_scene(loaded)
+    scene_s = time.perf_counter() - start - level_s
+    return {
+        "level_s": level_s, "scene_s": scene_s, "more_mib": status_mib("VmHWM") - before_mib,
+        "files": len(loaded.linked_sources), "highest_m": scene.height_range_m[1],
+    }  # fmt: skip
+
+
+def worked(raster: Path, zoom: str) -> dict[str, float | str]:
+    """A render process's memory before and over its first block of a zoom, and the block's time."""
+    state = WorkerState(warm_up())
+    idle_mib = status_mib("VmRSS")
+    scene = build_scene(load_level(raster))
+    job = block_job(scene, raster, number := zooms_of(scene)[zoom])
+    scene.close()
+    clear_caches()
+    forget_peak()
+    start = time.perf_counter()
+    run_job(job, state)
+    first_s = time.perf_counter() - start
+    return {"zoom": f"{number} ({zoom})", "idle_mib": idle_mib, "peak_mib": status_mib("VmHWM"), "first_s": first_s}
+
+
+def timed_blocks(raster: Path, state: WorkerState, zoom: int, count: int) -> float:
+    """Seconds of CPU a block of so many round the middle over ground not seen before; what the whole level shares is there."""
+    scene = state.scenes.get(key_of(raster))
+    side = int(np.sqrt(count))
+    first = -(side // 2)
+    jobs = [block_job(scene, raster, zoom, first + n // side, first + n % side) for n in range(count)]
+    clear_caches("light", "scene")
+    state.blocks.clear()
+    run_job(block_job(scene, raster, zoom, 40, 40), state)
+    start = time.process_time()
+    for job in jobs:
+        run_job(job, state)
+    return (time.process_time() - start) / count
+
+
+def counted(raster: Path, repeats: int) -> dict[str, list[float]]:
+    """Seconds a block of different numbers of them."""
+    state = WorkerState(warm_up())
+    zoom = zooms_of(state.scenes.get(key_of(raster)))["own"]
+    timed_blocks(raster, state, zoom, 4)
+    return {str(count): [timed_blocks(raster, state, zoom, count) for _ in range(repeats)] for count in BLOCK_COUNTS}
+
+
+def sized(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
+    """Seconds of the middle block of rasters of all sizes, in turns."""
+    state = WorkerState(warm_up())
+    zoom = zooms_of(state.scenes.get(key_of(rasters[0])))["own"]
+    found: dict[str, list[float]] = {}
+    for repeat in range(repeats + 1):
+        for raster in rasters:
+            taken = timed_blocks(raster, state, zoom, 1)
+            if repeat:
+                found.setdefault(raster.name, []).append(taken)
+    return found
+
+
+def shaded(raster: Path, side_km: float) -> dict[str, float]:
+    """``skugga shade`` of a square round the middle of a raster: time of a block, and the process's peak."""
+    start = time.perf_counter()
+    scene = build_scene(load_level(raster)).with_sun(SUN)
+    half = side_km * 500.0
+    view = raster_view(scene, (MIDDLE_XY[0] - half, MIDDLE_XY[1] - half, MIDDLE_XY[0] + half, MIDDLE_XY[1] + half))
+    blocks = len(blocks_of(view))
+    opened_s = time.perf_counter() - start
+    with tempfile.TemporaryDirectory() as folder:
+        start, times = time.perf_counter(), []
+        write_shade(scene, view, "mask", [None], [Path(folder) / "mask.tif"], {}, lambda *_: times.append(time.perf_counter()))
+        written_s = time.perf_counter() - start
+    every = np.diff(times[1:])
+    return {
+        "cells": view.rows * view.cols, "blocks": blocks, "open_s": opened_s, "all_s": written_s,
+        "block_s": float(np.median(every)), "peak_mib": status_mib("VmHWM"),
+    }  # fmt: skip
+
+
+def far_shadow(raster: Path) -> dict[str, str]:
+    """Where the mountain's shadow ends along its middle, km from its top, tile by tile and in ``shade``'s grid.
+
+    The anchor is 60 km west of the mountain, where the sun is 2 degrees high.
+    """
+    x, y = mountain_xy()
+    crs = CRS.from_epsg(EPSG)
+    lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
+    far = {km: WGS84.fwd(lon, lat, 270.0, km * 1000.0)[:2] for km in np.arange(10.0, 110.0, 0.5)}
+    anchor = far[FAR_KM]
+    terrain = {"source": str(raster.resolve()), "bounds": [*(v - 1e-3 for v in anchor), *(v + 1e-3 for v in anchor)]}
+    level = {
+        "version": 1, "terrain": terrain,
+        "sun": {"azimuth": 90.0 - 0.5 * (lon - anchor[0]) * np.sin(np.radians(lat)), "altitude": 2.0},
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "far.yaml"
+        path.write_text(json.dumps(level), encoding="utf-8")  # JSON is YAML
+        scene = build_scene(load_level(path))
+    found = {}
+    cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
+    bounds = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(*scene.elevation.bounds, densify_pts=21)
+    served = zoom_range(matrix_sets.get(MERCATOR_SET), scene.world, bounds, cell_m)
+    assert served is not None
+    for zoom in range(served.first, served.last + 1):
+        grid = tile_grid(matrix_sets.get(MERCATOR_SET), zoom)
+        found[f"zoom {zoom}"] = _shadow_end(scene, grid, far)
+    own = raster_view(scene, (x, y - 1.0, x + 1.0, y))
+    found["shade"] = _shadow_end(scene, own.grid, far)
+    return found
+
+
+def _shadow_end(scene: Scene, grid: Grid, far: dict[float, tuple[float, float]]) -> str:
+    """Between which distances, km, along a line of places the ground turns from shadow to sun."""
+    lit, (lon, lat) = {}, np.array(list(far.values())).T
+    x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(lon, lat)
+    plan = None
+    low, high = 0, len(far) - 1
+    while high - low > 1:  # shadow at the near end, sun at the far end
+        middle = (low + high) // 2
+        view = MapView(grid, float(int(grid.row(y[middle])) - 4), float(int(grid.col(x[middle])) - 4), 1.0, 1.0, 8, 8)
+        plan = plan or plan_of_view(scene, view, policy="rules")
+        lit[middle] = float(np.median(render_frame(scene, view, plan).visibility))
+        low, high = (middle, high) if lit[middle] < 0.5 else (low, middle)
+    names = list(far)
+    return f"{names[low]:.1f} to {names[high]:.1f}"
+
+
+Case = Callable[[list[Path], str, int], Any]
+
+CASES: dict[str, Case] = {
+    "open": lambda rasters, of, _: opened(rasters[int(of)]),
+    "worker": lambda rasters, of, _: worked(rasters[int(of.split(":")[0])], of.split(":")[1]),
+    "flat": lambda rasters, of, repeats: counted(rasters[int(of)], repeats),
+    "sizes": lambda rasters, _, repeats: sized(rasters, repeats),
+    "shade": lambda rasters, of, _: shaded(rasters[-1], float(of)),
+    "far": lambda rasters, _, __: far_shadow(rasters[-1]),
+}
+"""What a process measures, by name; which rasters, of what, how often."""
+
+WHICH: dict[str, tuple[str, ...]] = {
+    "open": ("2", "3"),
+    "worker": tuple(f"{index}:{zoom}" for index in (2, 3) for zoom in ("lowest", "middle", "own", "last")),
+    "flat": ("2", "3"),
+    "sizes": ("all",),
+    "shade": tuple(f"{side:g}" for side in SQUARES_KM),
+    "far": ("vrt",),
+}
+
+
+def in_a_process(args: argparse.Namespace, case: str, of: str) -> Any:
+    """What a fresh process measures."""
+    command = [sys.executable, "-m", "benchmarks.big_elevation", str(args.folder), "--case", case, "--of", of]
+    done = subprocess.run([*command, "--repeats", str(args.repeats)], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(done.stderr[-2000:])
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def told(figures: Any) -> str:
+    """Figures in a line."""
+
+    def one(value: Any) -> str:
+        if isinstance(value, list):
+            return f"{np.median(value):.3f} ({min(value):.3f} to {max(value):.3f})"
+        return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+    return ", ".join(f"{name} {one(value)}" for name, value in figures.items())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--raster", type=Path, default=Path("../shared/data/mountain/bigtujunga_30m_utm11.tif"))
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--only", nargs="+", choices=list(CASES), default=list(CASES))
+    parser.add_argument("--case", choices=list(CASES), help=argparse.SUPPRESS)
+    parser.add_argument("--of", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.case:
+        print(json.dumps(CASES[args.case](paths_in(args.folder), args.of, args.repeats)))
+        return
+    for made in make_rasters(args.folder, args.raster):
+        print(f"{made.path.name}: {made.path.stat().st_size / 2**20:.0f} MiB, made in {made.made_s:.0f} s", flush=True)
+    vrt = paths_in(args.folder)[-1]
+    if missing_overviews(vrt) is None:
+        start = time.perf_counter()
+        path = make_overviews(vrt)
+        print(f"{path.name}: {path.stat().st_size / 2**20:.0f} MiB, {time.perf_counter() - start:.0f} s", flush=True)
+    for case in args.only:
+        for of in WHICH[case]:
+            print(f"{case} {of}: {told(in_a_process(args, case, of))}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,61 @@
+"""The cells under those of a big raster's overview, where one of these is much ground: the finer they are, the less ground beside a
+block has to be read that cannot shade it. So a block costs the same on a raster of any size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from terrain.geo.grid import Grid
+from terrain.geo.light_space import LightSpace
+from terrain.geo.world import transformer
+from terrain.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class FineCells:
+    """Cells under some of an overview's (n,): rows, columns and half extents on a grid, in nodes, and their points in light space
+    (n, 3) at their highest ground.
+    """
+
+    row: np.ndarray
+    col: np.ndarray
+    half: np.ndarray
+    light_m: np.ndarray
+    wide_m: float
+
+
+def fine_cells(
+    scene: Scene,
+    light: LightSpace,
+    grid: Grid,
+    of: np.ndarray,
+    above: tuple[np.ndarray, np.ndarray],
+    period: float | None,
+) -> FineCells | None:
+    """The cells under those that ``of`` (bool, as the overview) names, whose columns and half extents (n,) are ``above``; ``None``
+    where the overview's are the finest that are known. Columns repeat after a ``period``.
+    """
+    overview, elevation = scene.elevation.overview, scene.elevation
+    if overview.fine_high_m is None:
+        return None
+    per = 2 ** (overview.level - overview.fine_level)
+    parent_row, parent_col = np.nonzero(of)
+    down, right = (v.ravel() for v in np.mgrid[:per, :per])
+    i, j = (parent_row[:, None] * per + down).ravel(), (parent_col[:, None] * per + right).ravel()
+    high = overview.fine_high_m[i, j]
+    known = np.isfinite(high)
+    factor = 2**overview.fine_level
+    x, y = elevation.xy((i[known] + 0.5) * factor - 0.5, (j[known] + 0.5) * factor - 0.5)
+    point, up = scene.world.ground(elevation.crs, x, y)
+    if grid.crs != elevation.crs:
+        x, y = transformer(elevation.crs, grid.crs).transform(x, y)
+    col_above, half_above = (np.repeat(v, per * per)[known] for v in above)
+    row, col = np.asarray(grid.row(y)), np.asarray(grid.col(x))
+    if period is not None:
+        col = col + period * np.rint((col_above - col) / period)
+    cell_m = elevation.cell_size_m(scene.world.metres_per_unit) * factor
+    light_m = light.from_earth(point + up * high[known, None])
+    return FineCells(row, col, (half_above - 1.0) / per + 1.0, light_m, cell_m)

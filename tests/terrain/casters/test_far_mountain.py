@@ -1,0 +1,103 @@
+"""A mountain 60 km away under a sun 2 degrees high shadows its plain as far as it must, in tiles of every zoom and in ``shade``."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rasterio
+from morecantile import tms as matrix_sets
+from rasterio.enums import Resampling
+
+from api.http.matrices import zoom_range
+from api.layers import MASK_LIT, MASK_SHADOW
+from api.shade import raster_view, shade_array
+from shadows.ground_pictures import shown_map
+from terrain.geo.grid import MapView, tile_grid
+from terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, transformer
+from terrain.ground import overview
+from terrain.scene import Scene
+from tests.render import plan_of
+
+CELL_M, COLS, ROWS = 30.0, 2700, 700
+WEST_M, NORTH_M = 460_000.0, 5_210_500.0
+PLAIN_M, MOUNTAIN_M = 300.0, 2500.0
+RIM_M, HALF_WIDTH_M = WEST_M + 72_000.0, 2500.0
+"""Easting of the mountain's western rim, and half its extent from north to south. Its top is flat: the rim's shadow is longest."""
+
+MIDDLE_M = NORTH_M - ROWS / 2 * CELL_M
+FAR_M, ALTITUDE_DEG = 60_000.0, 2.0
+"""How far from the rim the sun is how high."""
+
+PATCH_PX = 6
+TMS = matrix_sets.get("WebMercatorQuad")
+
+
+def heights() -> np.ndarray:
+    x = WEST_M + (np.arange(COLS) + 0.5) * CELL_M
+    y = NORTH_M - (np.arange(ROWS) + 0.5) * CELL_M
+    top = (x >= RIM_M)[None, :] & (x <= RIM_M + 5000.0)[None, :] & (np.abs(y - MIDDLE_M) <= HALF_WIDTH_M)[:, None]
+    return np.where(top, PLAIN_M + MOUNTAIN_M, PLAIN_M).astype(np.float32)
+
+
+def shadow_length_m() -> float:
+    """L of H = L tan(a) + L^2 / 2R, where the sun stands lower by L / R the farther west one goes."""
+    length_m = np.linspace(1e3, 90e3, 100_000)
+    altitude = np.radians(ALTITUDE_DEG) + (FAR_M - length_m) / EARTH_RADIUS_M
+    needed_m = length_m * np.tan(altitude) + length_m**2 / (2.0 * EARTH_RADIUS_M)
+    return float(length_m[np.argmax(needed_m > MOUNTAIN_M)])
+
+
+def places(margin_m: float) -> dict[tuple[float, float], bool]:
+    """Eastings and northings on the plain, and whether they lie in the mountain's shadow: no nearer to its rim than a margin."""
+    end_m = shadow_length_m()
+    dark = {(RIM_M - away_m, MIDDLE_M): True for away_m in (10e3, 25e3, 40e3, FAR_M - margin_m, end_m - margin_m)}
+    aside = {(RIM_M - 40e3, MIDDLE_M + side * (HALF_WIDTH_M + margin_m)): False for side in (-1, 1)}
+    return {**dark, **aside, (RIM_M - end_m - margin_m, MIDDLE_M): False}
+
+
+@pytest.fixture(params=["a raster", "a big one with overviews"])
+def scene(request, write_raster, make_scene, monkeypatch) -> Scene:
+    raster = write_raster(heights(), "EPSG:32633", WEST_M, NORTH_M, CELL_M, tiled=True)
+    if request.param != "a raster":
+        monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 10_000)
+        monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 10_000)
+        monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
+        with rasterio.open(raster, "r+") as dataset:
+            dataset.build_overviews([2, 4, 8, 16, 32], Resampling.average)
+    middle_m = WEST_M + COLS / 2 * CELL_M
+    at_anchor = ALTITUDE_DEG + np.degrees((middle_m - (RIM_M - FAR_M)) / EARTH_RADIUS_M)
+    return make_scene(raster, 90.0, float(at_anchor))
+
+
+def test_the_shadow_s_length_is_that_of_a_curved_earth():
+    # 60 km take 2095 m by the slope and 283 m by the curve; the 122 m more of the mountain go on for 3.5 km.
+    assert shadow_length_m() == pytest.approx(63_500.0, abs=100.0)
+
+
+def test_tiles_of_every_zoom(scene):
+    assert scene.bounds_lon_lat is not None
+    zooms = zoom_range(TMS, scene.world, scene.bounds_lon_lat, CELL_M)
+    assert zooms is not None and zooms.last - zooms.first >= 7
+    wrong: list[object] = []
+    plan = None
+    for zoom in range(zooms.first, zooms.last + 1):
+        grid = tile_grid(TMS, zoom)
+        pixel_m = scene.surface(grid).step_m
+        for (x, y), dark in places(500.0 + 3.0 * pixel_m).items():
+            lon, lat = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform(x, y)
+            at = TMS.xy(lon, lat)
+            row, col = (int(v) - PATCH_PX // 2 for v in (grid.row(at.y), grid.col(at.x)))
+            view = MapView(grid, float(row), float(col), 1.0, 1.0, PATCH_PX, PATCH_PX)
+            plan = plan or plan_of(scene, view)  # all tiles of a level have one
+            middle = slice(PATCH_PX // 2 - 1, PATCH_PX // 2 + 1)
+            opacity = shown_map(scene, view, plan).opacity[middle, middle]
+            if (opacity != (255 if dark else 0)).any():
+                wrong.append((zoom, (RIM_M - x) / 1000.0, (y - MIDDLE_M) / 1000.0, dark, opacity.tolist()))
+    assert not wrong, "\n".join(map(str, wrong))
+
+
+def test_shade_s_cells(scene):
+    for (x, y), dark in places(500.0 + 3.0 * CELL_M).items():
+        view = raster_view(scene, (x - 100.0, y - 100.0, x + 100.0, y + 100.0))
+        found = shade_array(scene, view, "mask", None, {})
+        assert (found == (MASK_SHADOW if dark else MASK_LIT)).all(), (RIM_M - x, y - MIDDLE_M, dark)

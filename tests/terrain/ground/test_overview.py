@@ -1,0 +1,90 @@
+"""A raster's overview: its highest ground where only means are read, and which overviews a file has to have."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from terrain.errors import SourceError
+from terrain.ground import overview
+from terrain.ground.elevation import Elevation
+from terrain.ground.overview import check_overviews, lacks_overviews
+
+SIDE = 1024
+PEAK_M = 3000.0
+
+
+@pytest.fixture
+def big(write_raster, monkeypatch) -> Elevation:
+    """A plain of 500 m with a peak a few cells wide, a pit like it, and a hole: too big to be read cell by cell."""
+    monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 128 * 128)
+    monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 128 * 128)
+    monkeypatch.setattr(overview, "OVERVIEW_CELLS", 32)
+    row, col = np.mgrid[:SIDE, :SIDE]
+
+    def bell(at_row: float, at_col: float) -> np.ndarray:
+        return np.exp(-((row - at_row) ** 2 + (col - at_col) ** 2) / (2.0 * 6.0**2))
+
+    heights = 500.0 + PEAK_M * bell(352, 671.5) - 400.0 * bell(700, 200)
+    heights[800:960, 800:960] = np.nan
+    return Elevation(str(write_raster(heights.astype(np.float32), "EPSG:32633", 500_000, 5_300_000, 30.0, tiled=True)))
+
+
+def test_a_peak_among_means_is_about_as_high_as_it_is(big):
+    found = big.overview
+    assert found.level == 5 and found.high_m.shape == (32, 32)
+    # the mean of the 32 x 32 cells round it: less than a quarter of the peak
+    assert np.nanmax(found.heights_m) < 500.0 + PEAK_M / 4
+    assert 500.0 + 0.8 * PEAK_M < np.nanmax(found.high_m) < 500.0 + 1.6 * PEAK_M
+    assert np.unravel_index(np.nanargmax(found.high_m), (32, 32))[1] in (20, 21)
+    assert found.lowest_m < 500.0 - 0.8 * 400.0
+
+
+def test_the_highest_ground_is_nowhere_lower_than_the_means_and_none_where_there_is_none(big):
+    found = big.overview
+    there = np.isfinite(found.heights_m)
+    assert (found.high_m[there] >= found.heights_m[there] - 1e-3).all()
+    assert np.isnan(found.high_m[26:29, 26:29]).all() and np.isnan(found.heights_m[25:30, 25:30]).all()
+    assert (found.high_m[2:8, 22:30] == 500.0).all()
+
+
+def test_strips_make_no_difference(big, monkeypatch):
+    monkeypatch.setattr(overview, "MEANS_ROWS", 4)
+    again = Elevation(big.name)
+    np.testing.assert_array_equal(again.overview.high_m, big.overview.high_m)
+    assert again.overview.lowest_m == big.overview.lowest_m
+
+
+@pytest.mark.parametrize(
+    ("side", "factors", "lacks"),
+    [
+        (5_000, [], False),  # is read as it is
+        (10_000, [], True),
+        (10_000, [2, 4, 8, 16], False),
+        (10_000, [4, 16], False),
+        (10_000, [2], True),
+        (10_000, [16], True),
+        (40_000, [2, 4, 8, 16, 32, 64], False),
+    ],
+)
+def test_which_overviews_are_enough(side, factors, lacks):
+    assert lacks_overviews(side, side, factors) is lacks
+
+
+def test_what_is_refused_for_want_of_them():
+    check_overviews("dem.tif", 30_000, 30_000, [])
+    check_overviews("dem.tif", 100_000, 100_000, [4])
+    with pytest.raises(SourceError, match="40000 x 40000 cells and no overview.*1,000 million.*'skugga overviews dem.tif'"):
+        check_overviews("dem.tif", 40_000, 40_000, [])
+    with pytest.raises(SourceError, match="overviews of 2 cells at most"):
+        check_overviews("dem.tif", 100_000, 100_000, [2])
+
+
+def test_a_level_that_lacks_them_says_so(make_scene, write_raster, monkeypatch):
+    path = write_raster(np.zeros((600, 700), np.float32), "EPSG:32633", 500_000, 5_300_000, 30.0)
+    assert make_scene(path).warnings == ()
+    monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 10_000)
+    monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 10_000)
+    monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
+    (warning,) = make_scene(path).warnings
+    assert f"'skugga overviews {path}'" in warning

@@ -1,0 +1,71 @@
+"""What GDAL may keep: said once in a parent's environment, before what it starts; what a user says goes before."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from terrain.level.gdal_guard import CACHE_LIMITS
+
+IN_A_WORKER = """
+import json, multiprocessing, os, sys
+
+def told():
+    import rasterio
+    from rasterio._env import get_gdal_config
+    names = json.loads(sys.argv[1])
+    print(json.dumps([os.environ.get(name) for name in names] + [get_gdal_config(name) for name in names]))
+
+if __name__ == "__main__":
+    PARENT
+    process = multiprocessing.get_context("spawn").Process(target=told)
+    process.start()
+    process.join()
+"""
+
+PARENTS = {
+    "the service's pool": "import api.workers.pool",
+    "a library's user": "import skugga",
+    "whoever opens rasters": "import terrain.ground.elevation",
+}
+
+
+def limits_in_a_worker(folder, parent: str, **said: str) -> list[list[str]]:
+    """The limits in the environment of a process that a parent starts, and as GDAL has them there."""
+    script = folder / "parent.py"
+    script.write_text(IN_A_WORKER.replace("PARENT", parent), encoding="utf-8")
+    environment = {name: value for name, value in os.environ.items() if name not in CACHE_LIMITS} | said
+    done = subprocess.run(
+        [sys.executable, str(script), json.dumps([*CACHE_LIMITS])], env=environment, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    return [[str(value) for value in found[: len(CACHE_LIMITS)]], [str(value) for value in found[len(CACHE_LIMITS) :]]]
+
+
+@pytest.mark.parametrize("parent", PARENTS.values(), ids=PARENTS)
+def test_workers_have_the_limits_that_their_parent_said(tmp_path, parent):
+    environment, gdal = limits_in_a_worker(tmp_path, parent)
+    assert environment == list(CACHE_LIMITS.values())
+    assert gdal == [str(128 * 2**20), *list(CACHE_LIMITS.values())[1:]]
+
+
+def test_what_the_user_says_goes_before(tmp_path):
+    environment, gdal = limits_in_a_worker(tmp_path, PARENTS["the service's pool"], GDAL_CACHEMAX="64")
+    assert environment == ["64", *list(CACHE_LIMITS.values())[1:]] and gdal[0] == str(64 * 2**20)
+
+
+def test_the_command_line_says_them_before_all_else(tmp_path):
+    script = (
+        "import os, sys; sys.argv = ['skugga', '--version']; from api.cli.main import main\ntry: main()\nexcept SystemExit: pass\n"
+    )
+    script += "print([os.environ[name] for name in sys.stdin.read().split()])"
+    environment = {name: value for name, value in os.environ.items() if name not in CACHE_LIMITS}
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, input=" ".join(CACHE_LIMITS), capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout.splitlines()[-1] == str(list(CACHE_LIMITS.values())), done.stderr
