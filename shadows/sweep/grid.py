@@ -161,16 +161,24 @@ def fitted_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 EVERY_ROW = slice(None)
 """Which rows of a grid somebody will look at: all."""
 
+Window = tuple[tuple[int, int], tuple[int, int]]
+"""The first row and the one after the last, and the same of columns."""
 
-def bordered(n: int, m: int, known: slice = EVERY_ROW) -> tuple[np.ndarray, np.ndarray]:
+
+def bordered(n: int, m: int, known: slice = EVERY_ROW, soon: Window = ((0, 0), (0, 0))) -> tuple[np.ndarray, np.ndarray]:
     """A new grid (n, m + 2) float32 of NaN in the rows that are ``known``, and the view of it between its borders that is to be
-    filled in. Other rows mean nothing.
+    filled in. Other rows mean nothing, nor what ``soon`` will be filled in.
 
     A line that comes in over the left border meets what lies at its end; the right one, over which lines only leave, repeats
     the last column (``close_border``), so that the last nodes have a line on either side.
     """
     with_border = np.empty((n, m + 2), np.float32)
-    with_border[known] = np.nan
+    begin, end, _ = known.indices(n)
+    (top, bottom), (left, right) = soon
+    with_border[begin:top] = np.nan
+    with_border[top:bottom, : left + 1] = np.nan
+    with_border[top:bottom, right + 1 :] = np.nan
+    with_border[max(begin, bottom) : end] = np.nan
     return with_border, with_border[:, 1:-1]
 
 

@@ -11,6 +11,7 @@ from shadows.sweep.grid import (
     HIGHER_DIAGONALS,
     NO_LEVELS,
     GridOrientation,
+    Window,
     bordered,
     close_border,
     copy_into,
@@ -88,6 +89,12 @@ class SunRays:
         with_border, inside = bordered(*(values.shape[::-1] if self.turn.swapped else values.shape))
         copy_into(values, self.turn.back(inside))
         return close_border(with_border)
+
+    def turned_window(self, row: int, col: int, shape: tuple[int, int], rows: int, cols: int) -> Window:
+        """The rows and columns of the turned grid in which a window of a grid (rows, cols) lies."""
+        ends = self.turn.onto(np.array([row, row + shape[0] - 1]), np.array([col, col + shape[1] - 1]), rows, cols)
+        (top, bottom), (left, right) = ((int(axis.min()), int(axis.max()) + 1) for axis in ends)
+        return (top, bottom), (left, right)
 
     def places(self, detail: int, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """``sweep_grid.places`` of a window of the grid of every 2**detail-th node."""
@@ -251,12 +258,12 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
     row0, col0 = (min(axis) for axis in zip(*starts, strict=True))
     rows, cols = max(row for row, _ in ends) - row0, max(col for _, col in ends) - col0
 
-    spans = [_turned_rows(rays, w.row0 - row0, w.col0 - col0, w.shape, rows, cols) for w in windows]
-    begin = max(min((first for first, _ in spans), default=rows) - 1, 0)
-    known = (0, None) if soft or detail else (begin, max(end for _, end in spans))  # no row but these is looked at
+    spans = [rays.turned_window(w.row0 - row0, w.col0 - col0, w.shape, rows, cols) for w in windows]
+    begin = max(min((first for (first, _), _ in spans), default=rows) - 1, 0)
+    known = (0, None) if soft or detail else (begin, max(end for (_, end), _ in spans))  # no row but these is looked at
 
     def turned(put: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
-        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)), slice(*known))
+        with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)), slice(*known), *spans[:1])
         own = rays.turn.back(inside)
         if windows:
             put(detail, windows, [own[w.row0 - row0 :, w.col0 - col0 :][: w.shape[0], : w.shape[1]] for w in windows])
@@ -265,12 +272,6 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
     sheet = TurnedGrid(turned(rays.put_levels), *rays.places(detail, row0, col0, rows, cols), HIGHER_DIAGONALS)
     towards_m = turned(rays.put_towards) if soft else NO_LEVELS
     return GroundWindow(detail, row0, col0, (rows, cols), sheet, towards_m, begin)
-
-
-def _turned_rows(rays: SunRays, row: int, col: int, shape: tuple[int, int], rows: int, cols: int) -> tuple[int, int]:
-    """The first turned row of a window of a grid (rows, cols), and the one after the last."""
-    i, _ = rays.turn.onto(np.array([row, row + shape[0] - 1]), np.array([col, col + shape[1] - 1]), rows, cols)
-    return int(i.min()), int(i.max()) + 1
 
 
 @compiled

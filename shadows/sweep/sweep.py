@@ -131,7 +131,7 @@ def fill_nodes(
         targets = _asked_of_nodes(rays, grounds[-1], nodes)
         lines = max(settings.lines // nodes.per_pixel, LEAST_LINES)
         lit, _, _ = _swept(grounds, targets, lines, 0.0, NO_LEVELS)
-        log.keep("shadow-height", light, _shadow_height_m, rays, grounds, targets, lines, nodes.height_m)
+        log.keep("shadow-height", light, lambda: _shadow_height_m(rays, grounds, targets, lines, nodes.height_m))
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft=False))
         return rays.turn.back_in_order(lit, targets.window)
 
@@ -218,14 +218,13 @@ def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
     return ends[0] - 1.0, ends[1] + 1.0
 
 
-def _window_of(
-    rays: SunRays, ground: GroundWindow, view: MapView
-) -> tuple[tuple[int, int], tuple[int, int], tuple[slice, slice]]:
+def _window_of(rays: SunRays, ground: GroundWindow, view: MapView) -> tuple[tuple[int, int], tuple[int, int], tuple[slice, slice]]:
     """The rows and the columns of the turned ground, and the window of its grid, that a view's nodes lie in."""
     top, left = int(view.row0) - ground.row0, int(view.col0) - ground.col0
-    i, j = rays.turn.onto(np.array([top, top + view.rows - 1]), np.array([left, left + view.cols - 1]), *ground.shape)
-    rows, cols = ((int(ends.min()), int(ends.max()) + 1) for ends in (i, j))
-    return rows, cols, (slice(top, top + view.rows), slice(left, left + view.cols))
+    return *rays.turned_window(top, left, (view.rows, view.cols), *ground.shape), (
+        slice(top, top + view.rows),
+        slice(left, left + view.cols),
+    )
 
 
 def _asked_of_nodes(rays: SunRays, ground: GroundWindow, nodes: BareNodes) -> _Asked:

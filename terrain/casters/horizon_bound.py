@@ -300,7 +300,10 @@ def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
     """``low_m``, ``high_m``, ``whole`` and ``rise_m`` of the parts of patches that follow one another, float64 (n, m, 11)."""
     more = NODES_BEYOND
     window = surface.height_window(
-        row * PATCH_QUADS - more, cols.start * PATCH_QUADS - more, PATCH_QUADS + 1 + 2 * more, len(cols) * PATCH_QUADS + 1 + 2 * more
+        row * PATCH_QUADS - more,
+        cols.start * PATCH_QUADS - more,
+        PATCH_QUADS + 1 + 2 * more,
+        len(cols) * PATCH_QUADS + 1 + 2 * more,
     )
     out = np.empty((len(cols), PARTS * PARTS, 3 + len(RISE_DIRECTIONS)))
     refined = isinstance(window, RefinedWindow)

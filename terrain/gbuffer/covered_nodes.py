@@ -171,26 +171,65 @@ def _shares(values, there, down, row_weights, right, col_weights, rows, cols):
     """As ``_means`` of bool, where all pixels cover squares alike (``_even``): in whole numbers."""
     out = np.empty((rows, cols), np.float32)
     wide = there.shape[1]
-    known, total = np.empty(wide, np.int32), np.empty(wide, np.int32)
+    most = row_weights.sum() * col_weights.sum()
+    quotients = np.empty(most + 1, np.float32)  # of all that may be lit in a pixel that shows nothing else than ground
+    for n in range(most + 1):
+        quotients[n] = np.float64(n) / np.float64(most)
+    known, total = np.empty(wide, np.int32), np.empty(wide, np.int32)  # of a row of pixels
+    all_known, all_total = np.empty(wide, np.int32), np.empty(wide, np.int32)  # in the pixels that would begin at each square
     for i in range(rows):
-        known[:], total[:] = 0, 0
+        total[:] = 0
+        whole = True
         for k in range(row_weights.size):
             if row_weights[k] > 0:
-                _add_row(there[i * down + k], values[i * down + k], np.int32(row_weights[k]), known, total)
+                whole = _all_there(there[i * down + k]) and whole
+        if whole:
+            for k in range(row_weights.size):
+                if row_weights[k] > 0:
+                    _add_weighted(values[i * down + k], np.int32(row_weights[k]), total)
+            _sum_along(total, col_weights, all_total)
+            for j in range(cols):
+                out[i, j] = quotients[all_total[j * right]]
+            continue
+        known[:] = 0
+        for k in range(row_weights.size):
+            if row_weights[k] > 0:
+                _add_weighted(there[i * down + k], np.int32(row_weights[k]), known)
+                _add_weighted(there[i * down + k] & values[i * down + k], np.int32(row_weights[k]), total)
+        _sum_along(known, col_weights, all_known)
+        _sum_along(total, col_weights, all_total)
         for j in range(cols):
-            whole, lit = 0, 0
-            for k in range(col_weights.size):
-                whole += col_weights[k] * known[j * right + k]
-                lit += col_weights[k] * total[j * right + k]
-            out[i, j] = np.float64(lit) / np.float64(whole) if whole > 0 else np.nan
+            among = all_known[j * right]
+            out[i, j] = np.float64(all_total[j * right]) / np.float64(among) if among > 0 else np.nan
     return out
 
 
 @compiled
-def _add_row(there, values, weight, known, total):
-    for n in range(known.size):
-        known[n] += weight * np.int32(there[n])
-        total[n] += weight * np.int32(there[n] & values[n])
+def _all_there(there):
+    missing = 0
+    for n in range(there.size):
+        missing += 0 if there[n] else 1
+    return missing == 0
+
+
+@compiled
+def _add_weighted(values, weight, out):
+    for n in range(out.size):
+        out[n] += weight * np.int32(values[n])
+
+
+@compiled
+def _sum_along(values, weights, out):
+    """Weighted sums of as many values as there are weights, from each on; beyond the last that has so many nothing is said."""
+    count = values.size - weights.size + 1
+    for k in range(weights.size):
+        weight, some, sums = np.int32(weights[k]), values[k : k + count], out[:count]
+        if k == 0:
+            for n in range(count):
+                sums[n] = weight * some[n]
+        elif weight > 0:
+            for n in range(count):
+                sums[n] += weight * some[n]
 
 
 @compiled
