@@ -6,6 +6,7 @@ import gzip
 import os
 import struct
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,6 +33,9 @@ from tests.api.workers import fake_workers
 X, Y = CORNER
 TILES = "/levels/hills/tiles/WebMercatorQuad"
 TIME = "2024-06-21T16:00:00+00:00"
+
+READY_S = 600
+"""A render process compiles at its first start."""
 
 
 def tile_of(number: int) -> bytes:
@@ -65,6 +69,10 @@ def drawn(client: Client) -> int:
 
 def test_a_level_s_archived_tile_is_the_rendered_one(client: Client, serve, tmp_path: Path):
     """Rendered by one service, written, and served by another one that draws nothing: the same bytes under each canonical query."""
+    end = time.monotonic() + READY_S
+    while client.get("/readyz").status_code != 200:  # this may be the first test of a run
+        assert time.monotonic() < end, "no render process is ready"
+        time.sleep(0.5)
     queries = {"a": {"layer": "shadow"}, "b": {"layer": "color", "time": TIME}, "c": {"layer": "terrarium"}}
     places = [(ZOOM, X + col, Y + row) for row in (-1, 0) for col in (-1, 0)]
     rendered = {
@@ -186,6 +194,22 @@ def test_a_replaced_archive_is_gone_over_to(serve, tmp_path: Path, capfd):
     said = capfd.readouterr().err
     assert said.count("a.pmtiles: a PMTiles archive of version 2;") == 1, "told once"
     assert said.count("a.pmtiles: No such file") == 1 and "its tiles are rendered" in said and "opened anew" in said
+
+
+def test_tiles_of_the_same_bytes_keep_answers_of_their_own(serve, tmp_path: Path):
+    """Kept and sent again before anything is looked at: each with the time that it was asked for, and how long it is fresh."""
+    for name, query in (("a", ""), ("b", "time=2024-06-21T16%3A00%3A00%2B00%3A00")):
+        write_tiles(tmp_path / f"{name}.pmtiles", {(ZOOM, X, Y): tile_of(1)}, query=query)
+    moments = [None, "2024-06-21T18:00:00+02:00", "2024-06-21T16:00:00+00:00"]
+    with serve({"archive": ["a.pmtiles", "b.pmtiles"]}, tile_cache_bytes=2**20, level_check_s=60.0) as client:
+        for again in range(2):
+            before = client.service.tiles.hits
+            for moment in moments:
+                answer = client.get(f"{TILES}/{ZOOM}/{X}/{Y}.png", params={} if moment is None else {"time": moment})
+                assert answer.content == tile_of(1) and answer.headers.get("x-skugga-time") == moment
+                assert answer.headers["cache-control"] == f"public, max-age={3600 if moment is None else 86400}"
+            assert client.service.tiles.hits - before == again * len(moments)
+        assert drawn(client) == 0
 
 
 def test_a_leaf_that_breaks_later_is_told_of_and_drawn(serve, tmp_path: Path, monkeypatch, capfd):
