@@ -29,7 +29,7 @@ import numpy as np
 from morecantile import tms as matrix_sets
 from pyproj import CRS
 
-from api.http.matrices import zoom_range
+from api.matrices import zoom_range
 from api.overviews import make_overviews, missing_overviews
 from api.shade import raster_view, write_shade
 from api.workers.jobs import BlockJob, LevelKey, PictureRequest, Tiles

@@ -135,11 +135,11 @@ def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: Seed
     look_for_lost_shards(table, store)
     measured = table.measured()
     rows: list[dict[str, Any]] = []
-    for sun, zoom, why, count, seconds in table.outlook():
+    for sun, zoom, why, count, full, seconds in table.outlook():
         usual = USUAL_TILE_BYTES.get(run.spec.layer, USUAL_TILE_BYTES["color"]) * min(4**zoom, BLOCK_TILES**2)
-        mean_bytes = measured[zoom][2] if zoom in measured else usual
+        full_bytes = measured[zoom][1] if zoom in measured else usual
         rows.append({
-            "sun": sun, "zoom": zoom, "why": why, "tasks": count, "seconds": round(seconds, 1), "bytes": int(count * mean_bytes),
+            "sun": sun, "zoom": zoom, "why": why, "tasks": count, "seconds": round(seconds, 1), "bytes": int(full * full_bytes),
             "measured": zoom in measured,
         })  # fmt: skip
     workers = options.workers or cores()

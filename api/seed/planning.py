@@ -145,11 +145,10 @@ def _planned(
             grid, blocks = tile_grid(matrix_set_of(MATRIX_SET), zoom), blocks_of_zoom(zoom, bounds)
             digests = here.digests(grid, blocks, plan, request.layer == "color")
             shares = here.shares_on_data(grid, blocks)
-            whole_s = _seconds_of_whole(plan, zoom, measured)
-            for (x, y), digest, share in zip(blocks, digests, shares, strict=True):
-                parts = KeyParts(drawn_by, settings, plan_digest(plan), heights, digest.hex())
-                expected_s = whole_s * max(share, EMPTY_SHARE)
-                tasks.append(PlannedTask(name, zoom, x, y, first_tile_of_block(zoom, x, y), parts, expected_s))
+            whole_s, planned = _seconds_of_whole(plan, zoom, measured), plan_digest(plan)
+            for (x, y), digest, on_data in zip(blocks, digests, shares, strict=True):
+                parts, share = KeyParts(drawn_by, settings, planned, heights, digest.hex()), max(on_data, EMPTY_SHARE)
+                tasks.append(PlannedTask(name, zoom, x, y, first_tile_of_block(zoom, x, y), parts, share, whole_s * share))
     table.want(tasks)
     return RunSpec(
         level=request.level, ground=version, renderer=renderer, layer=request.layer, format=request.format, overrides=overrides,
@@ -249,10 +248,10 @@ def first_tile_of_block(zoom: int, x: int, y: int) -> int:
     return first + some // BLOCK_TILES**2 * BLOCK_TILES**2
 
 
-def _seconds_of_whole(plan: Plan | None, zoom: int, measured: dict[int, tuple[int, float, float]]) -> float:
+def _seconds_of_whole(plan: Plan | None, zoom: int, measured: dict[int, tuple[float, float]]) -> float:
     """How long a task that is full of data is expected to take: as others of its zoom did, or as the plan predicts."""
     if zoom in measured:
-        return measured[zoom][1]
+        return measured[zoom][0]
     if plan is None or plan.predicted is None:
         return UNKNOWN_TASK_S
     return plan.predicted.ms / 1000.0 + BESIDE_SHADOWS_S

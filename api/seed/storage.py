@@ -44,9 +44,11 @@ class FolderStore:
         try:
             part.write_bytes(content)
             os.replace(part, path)
-        except BaseException:
+        except BaseException as error:
             with suppress(OSError):
                 part.unlink()
+            if isinstance(error, OSError):
+                raise OSError(error.errno, error.strerror, str(self._folder)) from None
             raise
 
     def read(self, name: str) -> bytes:

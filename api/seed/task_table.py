@@ -27,7 +27,7 @@ CREATE TABLE IF NOT EXISTS plans (
 CREATE TABLE IF NOT EXISTS tasks (
     id INTEGER PRIMARY KEY, sun TEXT NOT NULL, zoom INTEGER NOT NULL, x INTEGER NOT NULL, y INTEGER NOT NULL,
     first_tile INTEGER NOT NULL, wanted INTEGER NOT NULL, state TEXT NOT NULL, why TEXT NOT NULL,
-    key TEXT NOT NULL, parts TEXT NOT NULL, expected_s REAL NOT NULL, tries INTEGER NOT NULL DEFAULT 0,
+    key TEXT NOT NULL, parts TEXT NOT NULL, share REAL NOT NULL, expected_s REAL NOT NULL, tries INTEGER NOT NULL DEFAULT 0,
     seconds REAL, encode_s REAL, peak_bytes INTEGER, bytes INTEGER, tiles BLOB, error TEXT,
     UNIQUE (sun, zoom, x, y)
 );
@@ -40,8 +40,8 @@ CREATE INDEX IF NOT EXISTS in_order ON tasks (sun, wanted, first_tile);
 
 
 class PlannedTask(NamedTuple):
-    """A task as planned: its sun by name, its block, the first tile id of that, what its tiles hang on (``KeyParts``), and how long
-    it is expected to take.
+    """A task as planned: its sun by name, its block, the first tile id of that, what its tiles hang on (``KeyParts``), how much of
+    it shows data, and how long it is expected to take.
     """
 
     sun: str
@@ -50,6 +50,7 @@ class PlannedTask(NamedTuple):
     y: int
     first_tile: int
     parts: KeyParts
+    share: float
     expected_s: float
 
 
@@ -162,10 +163,11 @@ class TaskTable:
             self._db.execute("UPDATE tasks SET wanted = 0")
             self._db.executemany(
                 """
-                INSERT INTO tasks (sun, zoom, x, y, first_tile, wanted, state, why, key, parts, expected_s)
-                VALUES (?, ?, ?, ?, ?, 1, 'waiting', ?, ?, ?, ?)
+                INSERT INTO tasks (sun, zoom, x, y, first_tile, wanted, state, why, key, parts, share, expected_s)
+                VALUES (?, ?, ?, ?, ?, 1, 'waiting', ?, ?, ?, ?, ?)
                 ON CONFLICT (sun, zoom, x, y) DO UPDATE SET
-                    wanted = 1, expected_s = excluded.expected_s, key = excluded.key, parts = excluded.parts,
+                    wanted = 1, share = excluded.share, expected_s = excluded.expected_s,
+                    key = excluded.key, parts = excluded.parts,
                     why = CASE WHEN key = excluded.key OR state != 'done' THEN why ELSE why_changed(parts, excluded.parts) END,
                     tries = CASE WHEN key = excluded.key THEN tries ELSE 0 END,
                     error = CASE WHEN key = excluded.key THEN error END,
@@ -177,7 +179,7 @@ class TaskTable:
     def _rows(self, tasks: Iterable[PlannedTask]) -> Iterator[tuple[Any, ...]]:
         for task in tasks:
             parts = ":".join(task.parts)
-            yield task.sun, task.zoom, task.x, task.y, task.first_tile, NEW, key_of(task), parts, task.expected_s
+            yield task.sun, task.zoom, task.x, task.y, task.first_tile, NEW, key_of(task), parts, task.share, task.expected_s
 
     def waiting(self) -> list[int]:
         """The tasks that are to be done, the heaviest first."""
@@ -258,19 +260,21 @@ class TaskTable:
         """Wanted tasks by state."""
         return dict(self._db.execute("SELECT state, count(*) FROM tasks WHERE wanted GROUP BY state").fetchall())
 
-    def outlook(self) -> list[tuple[str, int, str, int, float]]:
-        """Of what waits: sun, zoom, reason, number of tasks and the seconds that they are expected to take."""
+    def outlook(self) -> list[tuple[str, int, str, int, float, float]]:
+        """Of what waits: sun, zoom, reason, number of tasks, how many full ones they are worth, and the seconds that they are
+        expected to take.
+        """
         return self._db.execute(
-            "SELECT sun, zoom, why, count(*), sum(expected_s) FROM tasks WHERE wanted AND state = 'waiting' "
+            "SELECT sun, zoom, why, count(*), sum(share), sum(expected_s) FROM tasks WHERE wanted AND state = 'waiting' "
             "GROUP BY sun, zoom, why ORDER BY sun, zoom, why"
         ).fetchall()
 
-    def measured(self) -> dict[int, tuple[int, float, float]]:
-        """By zoom, of tasks that were done, with tiles or without: their number, mean seconds and mean bytes."""
+    def measured(self) -> dict[int, tuple[float, float]]:
+        """By zoom, of tasks that were done: seconds and bytes of one that is full of data."""
         rows = self._db.execute(
-            "SELECT zoom, count(*), avg(seconds), avg(bytes) FROM tasks WHERE seconds IS NOT NULL GROUP BY zoom"
+            "SELECT zoom, sum(seconds) / sum(share), sum(bytes) / sum(share) FROM tasks WHERE seconds IS NOT NULL GROUP BY zoom"
         )
-        return {row[0]: (row[1], row[2], row[3]) for row in rows}
+        return {row[0]: (row[1], row[2]) for row in rows}
 
     @contextmanager
     def _whole(self) -> Iterator[None]:

@@ -247,7 +247,7 @@ def test_reasons(run: Run, monkeypatch: pytest.MonkeyPatch):
     def reasons() -> set[str]:
         with work_of(run) as table:
             planning.plan_run(table, run.request, lambda text: None)
-            return {why for _, _, why, _, _ in table.outlook()}
+            return {row[2] for row in table.outlook()}
 
     assert reasons() == {"not drawn yet"}
     run()

@@ -8,8 +8,8 @@ import rasterio
 from morecantile import tms as matrix_sets
 from rasterio.enums import Resampling
 
-from api.http.matrices import zoom_range
 from api.layers import MASK_LIT, MASK_SHADOW
+from api.matrices import zoom_range
 from api.shade import raster_view, shade_array
 from shadows.ground_pictures import shown_map
 from terrain.geo.grid import MapView, tile_grid
