@@ -438,7 +438,7 @@ def _between_exact(values, n, weights, first, out):
 
 @compiled
 def _ends_of(feet, slopes, n, weights, first, height, at, out, count):
-    """Of ``count`` nodes between the exact columns ``n`` + 1 and ``n`` + 2, from number ``first`` on: those of a row from ``at`` on."""
+    """Of ``count`` nodes of a row between the exact columns ``n`` + 1 and ``n`` + 2, from number ``first`` and column ``at`` on."""
     a, b, c, d = feet[n], feet[n + 1], feet[n + 2], feet[n + 3]
     e, f, g, h = slopes[n], slopes[n + 1], slopes[n + 2], slopes[n + 3]
     for j in range(count):
