@@ -177,9 +177,9 @@ def _steps(ends, count):
     return np.float32(ends[0]), np.float32((ends[1] - ends[0]) / max(count - 1, 1))
 
 
-# The next loops are written so that they compile to vector instructions: 32-bit counts convert to float32, and what is missing (NaN)
-# compares as lower. Runs are short: to slice a row, which takes hold of it and lets it go, would take as long as the work. Places in
-# it are unsigned, or else a negative one would count from its end.
+# The next loops are written so that they compile to vector instructions: 32-bit counts convert to float32, and what is missing
+# (NaN) compares as lower. Runs are short: to slice a row, which takes hold of it and lets it go, would take as long as the work.
+# Places in it are unsigned, or else a negative one would count from its end.
 
 
 @compiled
