@@ -17,8 +17,9 @@ from api.seed.storage import ShardStore
 from api.workers.block_tiles import BLOCK_TILES, TILE_PX, cut_tiles, empty_tile, encoded_part
 from api.workers.drawn_blocks import block_of_grid, drawn_block
 from api.workers.map_jobs import heights_picture
+from terrain.cache import MIB, cached
 from terrain.errors import InputError
-from terrain.geo.grid import tile_grid
+from terrain.geo.grid import Grid, tile_grid
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 
@@ -64,10 +65,14 @@ class Drawer:
         self._scene.close()
 
 
+@cached("process", MIB, size_of=lambda _: 512)
+def _grid_of(zoom: int) -> Grid:
+    return tile_grid(matrix_sets.get(MATRIX_SET), zoom)  # a set of matrices is copied each time
+
+
 def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, bytes], float]:
     """The tiles of a task that show any data, by tile id, and how long writing their files took, seconds."""
-    grid = tile_grid(matrix_sets.get(MATRIX_SET), task.zoom)
-    view, encoding = block_of_grid(grid, task.x, task.y), LAYERS[spec.layer].encoding
+    view, encoding = block_of_grid(_grid_of(task.zoom), task.x, task.y), LAYERS[spec.layer].encoding
     tiles: dict[tuple[int, int], bytes] = {}
     if encoding is not None:
         heights = heights_picture(scene, view, encoding)

@@ -241,7 +241,7 @@ def sweep_nodes(
             *strip_answers,
         )
         its = Strip(lines, start - 1, held, no_peaks(lines, cells))
-        before = min(max(first - 1, 0), end)
+        before = min(max(first - 1, 0) if last > first else min(begin, int(base.min(initial=n))), end)
         sweep_rows(sheet, its, min(begin, before), before, NO_LEVELS, NO_MASK, some)
         sweep_rows(sheet, its, before, end, shade, lit, some)
         points_lit[strip_points], points_above_m[strip_points] = strip_answers

@@ -90,7 +90,13 @@ def sweep_rows(sheet, strip, first, last, shade, lit, points):
         if begins[i] < begins[i + 1]:
             see_points(sheet, strip, i, points)
         for k in range(lines):
-            _advance(level, place, lines, cuts, first_cell, held[k], k, i)
+            _advance(level[i], level[i + 1], _cubic_of(place, i), _cubic_of(place, i + 1), lines, cuts, first_cell, held[k], k)
+
+
+@compiled
+def _cubic_of(rows, i):
+    """A row's cubic, as numbers."""
+    return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
 
 
 @compiled
@@ -101,28 +107,28 @@ def _run_along(p, low, high, times):
 
 
 @compiled
-def _class_of(place, i, t, j):
+def _class_of(here, further, t, j):
     """Of a line: the column left of it less its cell, and whether it crosses the next column before the next row."""
-    x = on_column(cubic(place[i], t))
+    x = on_column(cubic(here, t))
     c = int(np.floor(x))
-    return 2 * (c - j) + (1 if on_column(cubic(place[i + 1], t)) > c + 1 else 0)
+    return 2 * (c - j) + (1 if on_column(cubic(further, t)) > c + 1 else 0)
 
 
 @compiled
-def _advance(level, place, lines, cuts, first_cell, held, k, i):
-    """Take the lines of number ``k`` from before row ``i`` to before row ``i + 1``."""
-    cells, cols = held.size, level.shape[1]
+def _advance(above, below, here, further, lines, cuts, first_cell, held, k):
+    """Take the lines of number ``k`` from before a row to before the next: ``here`` and ``further`` are the cubics of these."""
+    cells, cols = held.size, above.size
     share = k / lines
-    run = _run_along(place[i], first_cell, first_cell + cells, 1)
+    run = _run_along(here, first_cell, first_cell + cells, 1)
     start = 0
     while start < cells:
         end = min(start + run, cells)
-        kind = _class_of(place, i, first_cell + start + share, first_cell + start)
-        if _class_of(place, i, first_cell + end - 1 + share, first_cell + end - 1) != kind:
+        kind = _class_of(here, further, first_cell + start + share, first_cell + start)
+        if _class_of(here, further, first_cell + end - 1 + share, first_cell + end - 1) != kind:
             low, high = start, end - 1  # kind holds at low, not at high
             while high - low > 1:
                 middle = (low + high) // 2
-                if _class_of(place, i, first_cell + middle + share, first_cell + middle) == kind:
+                if _class_of(here, further, first_cell + middle + share, first_cell + middle) == kind:
                     low = middle
                 else:
                     high = middle
@@ -133,38 +139,36 @@ def _advance(level, place, lines, cuts, first_cell, held, k, i):
         last = min(end, cols - (2 if crosses else 1) - shift)
         if begin < last:
             t0, t1 = first_cell + begin + share, first_cell + last - 1 + share
-            f0, f1 = on_column(cubic(place[i], t0)) - (begin + shift), on_column(cubic(place[i], t1)) - (last - 1 + shift)
+            f0, f1 = on_column(cubic(here, t0)) - (begin + shift), on_column(cubic(here, t1)) - (last - 1 + shift)
             s0, s1 = (
-                on_column(cubic(place[i + 1], t0)) - (begin + shift) - f0,
-                on_column(cubic(place[i + 1], t1)) - (last - 1 + shift) - f1,
+                on_column(cubic(further, t0)) - (begin + shift) - f0,
+                on_column(cubic(further, t1)) - (last - 1 + shift) - f1,
             )
-            above, below = level[i, begin + shift :], level[i + 1, begin + shift :]
-            _meet(above, below, cuts[begin + shift :] if cuts.size else cuts, held[begin:last], f0, f1, s0, s1, crosses)
+            _meet(above, below, cuts, begin + shift, held, begin, last - begin, f0, f1, s0, s1, crosses)
         start = end
 
 
 @compiled
-def _meet(above, below, cuts, held, f0, f1, s0, s1, crosses):
-    """What a run of lines meets from a row on and before the next one.
+def _meet(above, below, cuts, column, held, cell, count, f0, f1, s0, s1, crosses):
+    """What a run of ``count`` lines meets from a row on and before the next one, from a ``column`` and a ``cell`` of ``held`` on.
 
     Their places in their cells go from ``f0`` to ``f1``, their ways aside till the next row from ``s0`` to ``s1``.
     """
     if f0 == 0.0 and f1 == 0.0:  # on nodes: what may be missing to the right plays no part
-        nodes = above[: held.size]
-        _two(nodes, nodes, nodes, nodes, held, (0.0, 0.0), (0.0, 0.0))
+        _two(above, column, column, above, column, held, cell, count, (0.0, 0.0), (0.0, 0.0))
     row, rising = (f0, f1), (min((1.0 - f0) / (1.0 + s0), 1.0), min((1.0 - f1) / (1.0 + s1), 1.0))
     if crosses:
         side, far = ((1.0 - f0) / s0, (1.0 - f1) / s1), ((2.0 - f0) / (1.0 + s0), (2.0 - f1) / (1.0 + s1))
         if cuts.size:
-            _cross_cut(above, below, cuts, held, row, rising, side, far)
+            _cross_cut(above[column:], below[column:], cuts[column:], held[cell : cell + count], row, rising, side, far)
         else:
-            _cross(above, below, held, row, rising, side, far)
+            _cross(above, below, column, held, cell, count, row, rising, side, far)
     else:
         falling = min(f0 / max(1.0 - s0, 1e-9), 1.0), min(f1 / max(1.0 - s1, 1e-9), 1.0)
         if cuts.size:
-            _pass_cut(above, below, cuts, held, row, rising, falling)
+            _pass_cut(above[column:], below[column:], cuts[column:], held[cell : cell + count], row, rising, falling)
         else:
-            _pass(above, below, held, row, rising, falling)
+            _pass(above, below, column, held, cell, count, row, rising, falling)
 
 
 @compiled
@@ -173,49 +177,49 @@ def _steps(ends, count):
     return np.float32(ends[0]), np.float32((ends[1] - ends[0]) / max(count - 1, 1))
 
 
-# The next loops are written so that they compile to vector instructions: 32-bit counts convert to float32, slices have their
-# lengths, and what is missing (NaN) compares as lower.
+# The next loops are written so that they compile to vector instructions: 32-bit counts convert to float32, and what is missing
+# (NaN) compares as lower. Runs are short: to slice a row, which takes hold of it and lets it go, would take as long as the work.
+# Places in it are unsigned, or else a negative one would count from its end.
 
 
 @compiled
-def _pass(above, below, held, row, rising, falling):
+def _pass(above, below, column, held, cell, count, row, rising, falling):
     """Raise a run of lines to what they meet of one quad each: on its first row and on both of its diagonals."""
-    count = held.size
-    nw, ne, sw, se = above[:count], above[1 : count + 1], below[:count], below[1 : count + 1]
     p, dp = _steps(row, count)
     q, dq = _steps(rising, count)
     r, dr = _steps(falling, count)
     for n in range(count):
         x = np.float32(np.int32(n))
-        one = nw[n] + (p + dp * x) * (ne[n] - nw[n])
-        two = ne[n] + (q + dq * x) * (sw[n] - ne[n])
-        three = nw[n] + (r + dr * x) * (se[n] - nw[n])
-        highest = held[n]
+        here, right, line = np.uintp(column + n), np.uintp(column + 1 + n), np.uintp(cell + n)
+        one = above[here] + (p + dp * x) * (above[right] - above[here])
+        two = above[right] + (q + dq * x) * (below[here] - above[right])
+        three = above[here] + (r + dr * x) * (below[right] - above[here])
+        highest = held[line]
         highest = one if one > highest else highest
         highest = two if two > highest else highest
-        held[n] = three if three > highest else highest
+        held[line] = three if three > highest else highest
 
 
 @compiled
-def _cross(above, below, held, row, rising, side, far):
+def _cross(above, below, column, held, cell, count, row, rising, side, far):
     """Raise a run of lines to what they meet of two quads each: on the first row, on the rising diagonals of both, and between."""
-    count = held.size
-    nw, ne, sw, se, beyond = above[:count], above[1 : count + 1], below[:count], below[1 : count + 1], above[2 : count + 2]
     p, dp = _steps(row, count)
     q, dq = _steps(rising, count)
     r, dr = _steps(side, count)
     s, ds = _steps(far, count)
     for n in range(count):
         x = np.float32(np.int32(n))
-        one = nw[n] + (p + dp * x) * (ne[n] - nw[n])
-        two = ne[n] + (q + dq * x) * (sw[n] - ne[n])
-        three = ne[n] + (r + dr * x) * (se[n] - ne[n])
-        four = beyond[n] + (s + ds * x) * (se[n] - beyond[n])
-        highest = held[n]
+        here, right, beyond = np.uintp(column + n), np.uintp(column + 1 + n), np.uintp(column + 2 + n)
+        line = np.uintp(cell + n)
+        one = above[here] + (p + dp * x) * (above[right] - above[here])
+        two = above[right] + (q + dq * x) * (below[here] - above[right])
+        three = above[right] + (r + dr * x) * (below[right] - above[right])
+        four = above[beyond] + (s + ds * x) * (below[right] - above[beyond])
+        highest = held[line]
         highest = one if one > highest else highest
         highest = two if two > highest else highest
         highest = three if three > highest else highest
-        held[n] = four if four > highest else highest
+        held[line] = four if four > highest else highest
 
 
 @compiled
@@ -258,42 +262,44 @@ def _cross_cut(above, below, cuts, held, row, rising, side, far):
 
 
 @compiled
-def _two(a, b, c, d, held, p, q):
-    """Raise a run of lines to what lies between two pairs of nodes: at shares ``p`` of the way from a to b, ``q`` from c to d."""
-    count = held.size
+def _two(row, a, b, other_row, c, held, cell, count, p, q):
+    """Raise a run of levels to what lies between two pairs of nodes: at shares ``p`` of the way from a row's column ``a`` on to its
+    column ``b``, and ``q`` to column ``c`` of another row.
+    """
     p0, dp = _steps(p, count)
     q0, dq = _steps(q, count)
     for n in range(count):
         x = np.float32(np.int32(n))
-        one = a[n] + (p0 + dp * x) * (b[n] - a[n])
-        other = c[n] + (q0 + dq * x) * (d[n] - c[n])
-        highest = held[n]
+        line = np.uintp(cell + n)
+        here = row[np.uintp(a + n)]
+        one = here + (p0 + dp * x) * (row[np.uintp(b + n)] - here)
+        other = here + (q0 + dq * x) * (other_row[np.uintp(c + n)] - here)
+        highest = held[line]
         highest = one if one > highest else highest
-        held[n] = other if other > highest else highest
+        held[line] = other if other > highest else highest
 
 
 @compiled
 def _nodes(level, place, at, lines, cuts, first_cell, held, peaks, shade, lit, i):
     """The nodes of row ``i + 1``: what shades them from row ``i`` on, exactly, and from before, between the lines."""
     cols, cells = level.shape[1], held.shape[1]
-    here = at[i + 1]
-    first = _first_from(place[i + 1], here, first_cell + 1, cols)
-    last = _first_from(place[i + 1], here, first_cell + cells - 2, cols)
+    here, before, further = _cubic_of(at, i + 1), _cubic_of(place, i), _cubic_of(place, i + 1)
+    first = _first_from(further, here, first_cell + 1, cols)
+    last = _first_from(further, here, first_cell + cells - 2, cols)
     run = _run_along(here, first, last, lines)
+    above, below, seen = level[i], level[i + 1], np.empty(RUN, np.float32)
     while first < last:
         end, number = _run_of_nodes(here, first, min(first + run, last), lines)
         count = end - first
         cell, k = number // lines - first_cell, number % lines
-        left = held[k, cell : cell + count]
-        right = held[k + 1, cell : cell + count] if k + 1 < lines else held[0, cell + 1 : cell + 1 + count]
-        peak, peak_at = peaks[0, k, cell : cell + count], peaks[1, k, cell : cell + count]
+        right, right_cell = (k + 1, cell) if k + 1 < lines else (0, cell + 1)
         e0, e1 = _line_of(here, first, lines) - number, _line_of(here, end - 1, lines) - number - lines * (count - 1)
-        s0, s1 = _aside(place[i], here, first), _aside(place[i], here, end - 1)
-        seen = _see(level[i], level[i + 1], cuts, first, left, right, peak, peak_at, (e0, e1), (s0, s1))
+        _see_between(held, k, cell, right, right_cell, peaks, (e0, e1), count, seen)
+        _see_near(above, below, cuts, first, (_aside(before, here, first), _aside(before, here, end - 1)), count, seen)
         if shade.size:
-            shade[i + 1, first:end] = seen
+            shade[i + 1, first:end] = seen[:count]
         if lit.size:
-            _sees(seen, level[i + 1, first:end], lit[i + 1, first:end])
+            _sees(seen, below, lit, i + 1, first, count)
         first = end
 
 
@@ -301,34 +307,38 @@ def _nodes(level, place, at, lines, cuts, first_cell, held, peaks, shade, lit, i
 def _remember(level, place, at, lines, first_cell, peaks, i):
     """Raise the peaks between the lines to the nodes of row ``i``."""
     cols, cells = level.shape[1], peaks.shape[2]
-    here = at[i]
-    first = _first_from(place[i], here, first_cell + 1, cols)
-    last = _first_from(place[i], here, first_cell + cells - 2, cols)
+    here, further, row = _cubic_of(at, i), _cubic_of(place, i), level[i]
+    first = _first_from(further, here, first_cell + 1, cols)
+    last = _first_from(further, here, first_cell + cells - 2, cols)
     run = _run_along(here, first, last, lines)
     while first < last:
         end, number = _run_of_nodes(here, first, min(first + run, last), lines)
         count = end - first
         cell, k = number // lines - first_cell, number % lines
         e0, e1 = _line_of(here, first, lines) - number, _line_of(here, end - 1, lines) - number - lines * (count - 1)
-        _raise_peaks(level[i, first:end], (e0, e1), peaks[0, k, cell : cell + count], peaks[1, k, cell : cell + count])
+        _raise_peaks(row, first, (e0, e1), peaks, k, cell, count)
         first = end
 
 
 @compiled
-def _raise_peaks(level, between, peak, peak_at):
+def _raise_peaks(row, first, between, peaks, k, cell, count):
     """Remember nodes that stand higher between their lines than what was remembered there."""
-    per = 1.0 / max(level.size - 1, 1)
+    per = 1.0 / max(count - 1, 1)
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
-    for n in range(level.size):
-        higher = level[n] > peak[n]
-        peak_at[n] = e + de * np.float32(np.int32(n)) if higher else peak_at[n]
-        peak[n] = level[n] if higher else peak[n]
+    k = np.uintp(k)
+    for n in range(count):
+        c, level = np.uintp(cell + n), row[np.uintp(first + n)]
+        higher = level > peaks[0, k, c]
+        peaks[1, k, c] = e + de * np.float32(np.int32(n)) if higher else peaks[1, k, c]
+        peaks[0, k, c] = level if higher else peaks[0, k, c]
 
 
 @compiled
-def _sees(seen, level, lit):
-    for n in range(lit.size):
-        lit[n] = not seen[n] > level[n]
+def _sees(seen, row, lit, i, first, count):
+    i = np.uintp(i)
+    for n in range(count):
+        column = np.uintp(first + n)
+        lit[i, column] = not seen[n] > row[column]
 
 
 @compiled
@@ -371,34 +381,43 @@ def _first_from(place, at, t, cols):
 
 
 @compiled
-def _see(above, here, cuts, first, left, right, peak, peak_at, between, aside):
-    """The level of the rays over a run of nodes from column ``first`` on: float32 (count,).
-
-    ``between``: how far they stand between their lines, ``aside``: how far their rays come from the left, from first to last.
+def _see_between(held, k, cell, right, right_cell, peaks, between, count, out):
+    """The level of the rays over a run of nodes as far as the row before them, into an array (count,) float32: what the lines of
+    number ``k`` from a ``cell`` on hold, those to their right, and the peaks between. ``between``: how far the nodes stand between
+    their lines, from first to last.
     """
-    count = left.size
-    out = np.empty(count, np.float32)
     per = 1.0 / max(count - 1, 1)
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
+    k, right = np.uintp(k), np.uintp(right)
     for n in range(count):
+        c = np.uintp(cell + n)
+        left_held, right_held = held[k, c], held[right, np.uintp(right_cell + n)]
         w = e + de * np.float32(np.int32(n))
-        out[n] = (np.float32(1.0) - w) * left[n] + w * right[n]  # exact at w = 1 even where one has met nothing
-        a, top = peak_at[n], peak[n]
+        met = (np.float32(1.0) - w) * left_held + w * right_held  # exact at w = 1 even where one has met nothing
+        a, top = peaks[1, k, c], peaks[0, k, c]
         rising = w < a
         b = w / max(a, np.float32(1e-6)) if rising else (w - a) / max(np.float32(1.0) - a, np.float32(1e-6))
         b = min(max(b, np.float32(0.0)), np.float32(1.0))  # places are right to ``STRAIGHT``
-        over = (np.float32(1.0) - b) * (left[n] if rising else top) + b * (top if rising else right[n])
-        peaked = top > (np.float32(1.0) - a) * left[n] + a * right[n]
-        out[n] = over if peaked and over > out[n] else out[n]
-    behind, beside = above[first : first + count], above[first - 1 : first - 1 + count]
-    left_of = here[first - 1 : first - 1 + count]
+        over = (np.float32(1.0) - b) * (left_held if rising else top) + b * (top if rising else right_held)
+        peaked = top > (np.float32(1.0) - a) * left_held + a * right_held
+        out[n] = over if peaked and over > met else met
+
+
+@compiled
+def _see_near(above, here, cuts, first, aside, count, out):
+    """Raise the levels of the rays over a run of nodes from column ``first`` on to what they meet from the row before on.
+
+    ``aside``: how far their rays come from the left, from first to last.
+    """
     if max(aside[0], aside[1]) == 0.0:  # straight down: what may be missing to the left plays no part
-        _two(behind, behind, behind, behind, out, (0.0, 0.0), (0.0, 0.0))
-        return out
+        _two(above, first, first, above, first, out, 0, count, (0.0, 0.0), (0.0, 0.0))
+        return
     if min(aside[0], aside[1]) == 1.0:  # along the quads' falling diagonals: nor does what may be missing behind
-        _two(beside, beside, beside, beside, out, (0.0, 0.0), (0.0, 0.0))
+        _two(above, first - 1, first - 1, above, first - 1, out, 0, count, (0.0, 0.0), (0.0, 0.0))
     # And the rising diagonal of the quad to the left: the falling one ends in the node itself.
+    rising = aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1])
     if cuts.size:
-        left_of = np.where(cuts[first - 1 : first - 1 + count], np.float32(np.nan), left_of)
-    _two(behind, beside, behind, left_of, out, aside, (aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1])))
-    return out
+        left_of = np.where(cuts[first - 1 : first - 1 + count], np.float32(np.nan), here[first - 1 : first - 1 + count])
+        _two(above, first, first - 1, left_of, 0, out, 0, count, aside, rising)
+    else:
+        _two(above, first, first - 1, here, first - 1, out, 0, count, aside, rising)

@@ -181,9 +181,9 @@ def strips_of_sun(count: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What is asked of a sweep: the ``nodes`` among a buffer's pixels (rows, cols), which lie in ``rows`` and ``cols`` of the turned
-    ground and in a ``window`` of its grid; and the ``others``: their turned rows and columns, t, levels (NaN: the ground's) and metres towards
-    the sun.
+    """What is asked of a sweep: the ``nodes`` among a buffer's pixels (rows, cols), which lie in ``rows`` and ``cols`` of the
+    turned ground and in a ``window`` of its grid; and the ``others``: their turned rows and columns, t, levels (NaN: the ground's)
+    and metres towards the sun.
     """
 
     t_range: tuple[float, float]

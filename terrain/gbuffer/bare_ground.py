@@ -166,8 +166,8 @@ def _all_known(z, height):
     return missing == 0
 
 
-# The next loops are written so that they compile to vector instructions: rows lie side by side, slices have their lengths, few arrays
-# come together in one, and what does not change in one is a number.
+# The next loops are written so that they compile to vector instructions: rows lie side by side, slices have their lengths, few
+# arrays come together in one, and what does not change in one is a number.
 
 
 @compiled

@@ -458,8 +458,8 @@ def _bilinear(values, valid, row, col, row0, col0):
 
 @compiled
 def _cells_before(at, first, count, before, nearest, beyond):
-    """Along an axis of ``count`` cells from ``first`` on: the cell before a place and the nearest one, clamped, and the share of the
-    way to the next. Where a place is none that is NaN, and the cells are any.
+    """Along an axis of ``count`` cells from ``first`` on: the cell before a place and the nearest one, clamped, and the share of
+    the way to the next. Where a place is none that is NaN, and the cells are any.
     """
     last = max(count - 2.0, 0.0)
     for j in range(at.size):

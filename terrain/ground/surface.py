@@ -372,6 +372,10 @@ def _laid_out(array: np.ndarray) -> tuple[np.ndarray, int, int, int]:
     return owner.reshape(-1), start, array.strides[0] // array.itemsize, array.strides[1] // array.itemsize
 
 
+PUT_COLUMNS = 8
+"""Columns that are put into such an array at a time."""
+
+
 @compiled
 def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols, height, refined, flat, start, down, right):
     """Coordinates (rows, cols) at the ends of heights, from exact ones (m, n) of their feet, and by how much these change per
@@ -393,20 +397,19 @@ def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols
             _of_row(per_metre, m, share, slopes)
             if refined:
                 refined_row(height, row0 % 2 + top + i, col0 % 2, between)
-            heights = between if refined else height[top + i]
+            heights, own_ends = between if refined else height[top + i], ends[i]
             for first in range(col0 // stride * stride, col0 + cols, stride):
                 n = first // stride - first_col
                 begin, end = max(first, col0) - first, min(first + stride, col0 + cols) - first
                 at = first + begin - col0
-                _ends_of(feet, slopes, n - 1, weights, begin, heights[at : at + end - begin], ends[i, at : at + end - begin])
+                _ends_of(feet, slopes, n - 1, weights, begin, heights, at, own_ends, end - begin)
                 if begin == 0:  # an exact column: zero weights must not carry a neighbour's NaN
-                    ends[i, at] = feet[n] + np.float64(heights[at]) * slopes[n]
+                    own_ends[at] = feet[n] + np.float64(heights[at]) * slopes[n]
         if abs(right) == 1:
             for i in range(count):
                 _put(ends[i], flat, start + (top + i) * down, right)
         else:
-            for j in range(cols):
-                _put(ends[:count, j], flat, start + j * right + top * down, down)
+            _put_columns(ends, count, flat, start + top * down, down, right)
 
 
 @compiled
@@ -434,17 +437,16 @@ def _between_exact(values, n, weights, first, out):
 
 
 @compiled
-def _ends_of(feet, slopes, n, weights, first, height, out):
-    """Of nodes between the exact columns ``n`` + 1 and ``n`` + 2, from number ``first`` on."""
+def _ends_of(feet, slopes, n, weights, first, height, at, out, count):
+    """Of ``count`` nodes of a row between the exact columns ``n`` + 1 and ``n`` + 2, from number ``first`` and column ``at`` on."""
     a, b, c, d = feet[n], feet[n + 1], feet[n + 2], feet[n + 3]
     e, f, g, h = slopes[n], slopes[n + 1], slopes[n + 2], slopes[n + 3]
-    count = height.size
-    w0, w1 = weights[0][first : first + count], weights[1][first : first + count]
-    w2, w3 = weights[2][first : first + count], weights[3][first : first + count]
     for j in range(count):
-        foot = w0[j] * a + w1[j] * b + w2[j] * c + w3[j] * d
-        slope = w0[j] * e + w1[j] * f + w2[j] * g + w3[j] * h
-        out[j] = foot + np.float64(height[j]) * slope
+        k, m = np.uintp(first + j), np.uintp(at + j)  # slices would take longer than so short a loop
+        w0, w1, w2, w3 = weights[0, k], weights[1, k], weights[2, k], weights[3, k]
+        foot = w0 * a + w1 * b + w2 * c + w3 * d
+        slope = w0 * e + w1 * f + w2 * g + w3 * h
+        out[m] = foot + np.float64(height[m]) * slope
 
 
 @compiled
@@ -496,6 +498,20 @@ def _put(values, flat, start, step):
         target = flat[start - count + 1 : start + 1]
         for n in range(count):
             target[count - 1 - n] = values[n]
+
+
+@compiled
+def _put_columns(values, count, flat, start, down, right):
+    """Put the first ``count`` rows of values into an array whose columns lie side by side, from one place on: in blocks that fill
+    whole lines of the cache.
+    """
+    for first in range(0, values.shape[1], PUT_COLUMNS):
+        last = min(first + PUT_COLUMNS, values.shape[1])
+        for i in range(count):
+            at = start + i * down + first * right
+            for j in range(first, last):
+                flat[np.uintp(at)] = values[np.uintp(i), np.uintp(j)]
+                at += right
 
 
 @compiled

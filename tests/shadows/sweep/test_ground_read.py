@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shadows.sweep.grid import fitted_cubics
+from shadows.passes import PassLog
+from shadows.sweep import rays
+from shadows.sweep.grid import bordered, fitted_cubics
 from shadows.sweep.rays import patch_windows
-from terrain.casters.reach import PATCH_QUADS, Patch
+from shadows.sweep.settings import SweepSettings
+from shadows.sweep.sweep import fill, fill_nodes
+from terrain.casters.reach import PATCH_QUADS, Casters, Patch, casters_in_sun, casters_of
+from terrain.gbuffer.bare_nodes import bare_nodes
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.grid import MapView
+from terrain.level.level import SUN
+from tests.rasters import ENGINEERING
 
 Q = PATCH_QUADS
 
@@ -29,3 +41,40 @@ def test_fitted_cubics_go_through_cubics():
     found = fitted_cubics(x, y)
     assert np.allclose(found, factors, rtol=1e-6, atol=1e-12)
     assert np.allclose(fitted_cubics(x[:, :2], y[:, :2])[:, 2:], 0.0)  # a line through two points
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 100.0, 190.0, 280.0])
+def test_rows_without_ground_are_not_looked_at(write_raster, make_scene, monkeypatch, azimuth):
+    """What memory holds there, be it higher than all ground, changes nothing: of nodes as of other points."""
+    height = np.zeros((900, 900), np.float32)
+    height[::60], height[:, ::70] = 40.0, 60.0
+    scene = make_scene(write_raster(height, ENGINEERING, 0.0, 9000.0, 10.0), azimuth, 20.0)
+    view = scene.view(bounds=(3003.0, 3003.0, 5003.0, 5003.0), size=(200, 200))
+    buffer = geometry_of(scene, view)
+    nodes = bare_nodes(scene, MapView(view.grid, float(int(view.row0)), float(int(view.col0)), 1.0, 1.0, 200, 200), 1)
+    of_points = casters_of(scene, buffer)
+    of_points = replace(of_points, idle=frozenset(of_points.patches))  # the sheet is as large as with them, and has no ground there
+    of_nodes = Casters(casters_in_sun(scene, nodes), of_points.reach)
+    of_nodes = replace(of_nodes, idle=frozenset(of_nodes.patches))
+
+    def seen() -> list[np.ndarray]:
+        return [
+            fill(buffer, scene, SUN, ("relief",), of_points, SweepSettings(), PassLog()),
+            fill_nodes(nodes, scene, SUN, ("relief",), of_nodes, SweepSettings(), PassLog()),
+        ]
+
+    unknown = []
+
+    def with_high_ground(n: int, m: int, known: slice, *soon: object) -> tuple[np.ndarray, np.ndarray]:
+        with_border, inside = bordered(n, m, known, *soon)
+        elsewhere = np.ones(n, bool)
+        elsewhere[known] = False
+        with_border[elsewhere] = 1e30
+        unknown.append(elsewhere.sum())
+        return with_border, inside
+
+    before = seen()
+    monkeypatch.setattr(rays, "bordered", with_high_ground)
+    after = seen()
+    assert all(0.02 < (each == 0.0).mean() < 0.98 for each in before) and min(unknown) > 0
+    assert all(np.array_equal(one, other) for one, other in zip(before, after, strict=True))

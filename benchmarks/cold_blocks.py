@@ -1,0 +1,84 @@
+"""How long blocks of tiles take that are drawn once, as seeding draws them: CPU time of this process, by passes.
+
+    taskset -c 0 python -m benchmarks.cold_blocks FILE --zoom 13     # a raster or a level; on one core, as a render process has it
+
+The blocks of a pyramid that come first are drawn, in several rounds. Before each all is forgotten but what the very first block
+leaves behind, which is not counted; the round that took the least CPU time counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from morecantile import tms as matrix_sets
+
+from api.catalogue import find_level
+from api.matrices import ZoomRange
+from api.seed.planning import PlannedRun, SeedRequest, plan_run
+from api.seed.run_spec import MATRIX_SET, Task
+from api.seed.running import task_of
+from api.seed.task_table import TaskTable
+from api.workers.block_tiles import BLOCK_TILES, TILE_PX, encoded_part
+from api.workers.drawn_blocks import block_of_grid, drawn_block
+from terrain.cache import clear_caches
+from terrain.geo.grid import tile_grid
+from terrain.level.level import load_level
+from terrain.level.level_source import LevelSource
+from terrain.scene import Scene, build_scene
+
+TILES, CPU, ENCODING = "tiles", "CPU of the block", "encoding"
+
+
+def drawn(scene: Scene, run: PlannedRun, task: Task, layer: str) -> Counter[str]:
+    """Draw a task's block: milliseconds by passes, of encoding and in all (CPU), and how many tiles show data."""
+    view = block_of_grid(tile_grid(matrix_sets.get(MATRIX_SET), task.zoom), task.x, task.y)
+    begin = time.process_time()
+    block, shown = drawn_block(scene, view, run.spec.plan_by_place[task.sun, task.zoom], layer)
+    encode, tiles = time.process_time(), 0
+    for row in range(BLOCK_TILES):
+        for col in range(BLOCK_TILES):
+            part = block.part(row * TILE_PX, col * TILE_PX, TILE_PX)
+            if part.there.any():
+                encoded_part(part, layer, "png")
+                tiles += 1
+    end = time.process_time()
+    spent = Counter({record.name: record.ms for record in shown.passes})
+    spent.update({ENCODING: (end - encode) * 1e3, CPU: (end - begin) * 1e3, TILES: tiles})
+    return spent
+
+
+def main() -> None:
+    """Draw blocks, and print what they took."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("level")
+    parser.add_argument("--zoom", type=int, required=True)
+    parser.add_argument("--layer", default="color")
+    parser.add_argument("--blocks", type=int, default=24)
+    parser.add_argument("--rounds", type=int, default=5)
+    args = parser.parse_args()
+    source = LevelSource(path=Path(find_level(args.level)).resolve())
+    with tempfile.TemporaryDirectory() as folder:
+        table = TaskTable(Path(folder) / "tasks.sqlite")
+        request = SeedRequest(source, ZoomRange(args.zoom, args.zoom), (None,), args.layer, "png")
+        run = plan_run(table, request, lambda _: None)
+        tasks = [task_of(table, run, number) for number in table.waiting()[: args.blocks]]
+    scene = build_scene(load_level(run.spec.level)).with_sun(run.spec.suns[0])
+    rounds = []
+    for _ in range(args.rounds):
+        clear_caches("light", "scene")
+        drawn(scene, run, tasks[0], args.layer)
+        rounds.append(sum((drawn(scene, run, task, args.layer) for task in tasks[1:]), Counter[str]()))
+    best = min(rounds, key=lambda spent: spent[CPU])
+    print(
+        f"{len(tasks) - 1} blocks, {best[TILES]} tiles: {best[TILES] / best[CPU] * 1e3:.0f} tiles a second of CPU; ms of a block:"
+    )
+    for name in sorted(best.keys() - {TILES}, key=lambda each: (each == CPU, each)):
+        print(f"  {name:<20} {best[name] / (len(tasks) - 1):7.1f}")
+
+
+if __name__ == "__main__":
+    main()
