@@ -19,7 +19,7 @@ from threading import Lock
 from typing import Any
 
 from api.seed.drawing import Drawn
-from api.seed.render_process import Begun, NotDrawn, RenderProcess
+from api.seed.render_process import Begun, NotDrawn, RenderProcess, threads_of_one
 from api.seed.run_spec import RunSpec, Task
 from api.seed.storage import store_at
 from terrain.errors import GraphicsError, InputError, RenderError
@@ -210,7 +210,7 @@ class _KeptProcess:
         if self._process is None or self._run != run:
             self._end()
             spec = RunSpec.model_validate_json(store_at(run[0]).read(run[1]))
-            self._process, self._run = RenderProcess(spec, run[0], {"LP_NUM_THREADS": "1"}), run
+            self._process, self._run = RenderProcess(spec, run[0], threads_of_one(1)), run
             self._process.hear()
         return self._process
 

@@ -19,6 +19,7 @@ from api.workers.drawn_blocks import block_of_grid, drawn_block
 from api.workers.map_jobs import heights_picture
 from terrain.cache import MIB, cached
 from terrain.errors import InputError
+from terrain.gbuffer.bare_ground import forget_ground_before
 from terrain.geo.grid import Grid, tile_grid
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
@@ -54,6 +55,7 @@ class Drawer:
         """Draw a task and write its shard. Raises ``SkuggaError`` and ``OSError``."""
         start = clock.perf_counter()
         tiles, encode_s = tiles_of_task(self._under[task.sun], self._spec, task)
+        forget_ground_before(1)  # the next task may be of the same block under another sun, but of no block before it
         index, content = ShardIndex.of(tiles)
         if content:
             self._store.write(task.shard, content)

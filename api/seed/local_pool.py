@@ -8,7 +8,7 @@ from multiprocessing.connection import wait
 from typing import Protocol
 
 from api.seed.drawing import Drawn
-from api.seed.render_process import Begun, NotDrawn, RenderProcess
+from api.seed.render_process import Begun, NotDrawn, RenderProcess, threads_of_one
 from api.seed.run_spec import RunSpec, Task
 from api.settings import cores
 from terrain.errors import GraphicsError
@@ -39,9 +39,8 @@ class LocalPool:
     """So many processes of this machine. One that dies is replaced; its task is told of as ``died``."""
 
     def __init__(self, spec: RunSpec, shards: str, workers: int) -> None:
-        threads = str(max(cores() // workers, 1))
         self._spec, self._shards = spec, shards
-        self._environment = {"LP_NUM_THREADS": threads}
+        self._environment = threads_of_one(max(cores() // workers, 1))
         self._fruitless = 0
         self._processes = [self._start() for _ in range(workers)]
 

@@ -111,6 +111,11 @@ class RenderProcess:
         self.connection.close()
 
 
+def threads_of_one(threads: int) -> dict[str, str]:
+    """The environment of a process that has so many threads: of a software rasteriser, and of compiled loops."""
+    return {"LP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
+
+
 def draw_tasks(descriptor: int) -> None:
     """What a child runs."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the one that started it

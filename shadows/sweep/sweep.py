@@ -59,7 +59,11 @@ STRIPS = 16
 LEAST_LINES = 2
 """Lines to a column of nodes that are averaged, at least: a pixel as a whole has as many lines as it would have by itself."""
 
-CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+CORES = (
+    int(os.environ.get("NUMBA_NUM_THREADS", "0"))
+    or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
+    or 1
+)
 
 
 def fill(

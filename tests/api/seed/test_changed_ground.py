@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -135,3 +136,51 @@ def test_a_file_that_is_written_again_with_the_same_heights_draws_nothing(tmp_pa
     moved.mkdir()
     run.level = run.level.rename(moved / "dem.tif")
     assert run()[1] == [], "nor is one that lies elsewhere"
+
+
+@pytest.mark.long
+def test_depth_maps_are_fitted_to_ground_that_casts_nothing(tmp_path: Path, heights: np.ndarray):
+    """Their last bits go by whole patches of casters: more ground counts than for a sweep, but not all."""
+    asked = {"algorithm": "shadow_map"}
+    run = Run(write_ground(tmp_path / "dem.tif", heights), tmp_path / "t.pmtiles", (ZOOM, ZOOM), settings=asked)
+    run()
+    heights[270:290, 10:30] = np.clip(heights[270:290, 10:30] + 180.0, None, heights.max() - 1.0)
+    write_ground(run.level, heights)
+    _, drawn = run()
+    fresh = Run(run.level, tmp_path / "fresh.pmtiles", (ZOOM, ZOOM), settings=asked)
+    fresh()
+    assert run.output.read_bytes() == fresh.output.read_bytes()
+    assert 0 < len(drawn) < len(tiles_by_block(run))
+
+
+@pytest.mark.long
+def test_what_stands_on_the_ground_goes_with_it(tmp_path: Path, heights: np.ndarray):
+    """A tower on a hill that is raised throws its shadow farther; a file of towers that changes draws all anew."""
+    write_ground(tmp_path / "dem.tif", heights)
+    to_lon_lat = Transformer.from_crs(32633, 4326, always_xy=True)
+
+    def write_tower(height_m: float) -> None:
+        x, y = WEST + 20 * CELL_M, NORTH - 280 * CELL_M
+        ring = [to_lon_lat.transform(x + dx, y + dy) for dx, dy in ((0, 0), (60, 0), (60, 60), (0, 60), (0, 0))]
+        feature = {"type": "Feature", "properties": {"h": height_m}, "geometry": {"type": "Polygon", "coordinates": [ring]}}
+        text = json.dumps({"type": "FeatureCollection", "features": [feature]})
+        (tmp_path / "towers.geojson").write_text(text, encoding="utf-8")
+
+    write_tower(120.0)
+    level = tmp_path / "level.yaml"
+    level.write_text("version: 1\nterrain: {source: dem.tif}\nmeshes: [{source: towers.geojson, height: h}]\n", encoding="utf-8")
+    run = Run(level, tmp_path / "t.pmtiles", (ZOOM, ZOOM))
+    run()
+
+    def check() -> int:
+        _, drawn = run()
+        fresh = Run(level, tmp_path / "fresh.pmtiles", (ZOOM, ZOOM))
+        fresh()
+        assert run.output.read_bytes() == fresh.output.read_bytes()
+        return len(drawn)
+
+    heights[270:290, 10:30] = np.clip(heights[270:290, 10:30] + 180.0, None, heights.max() - 1.0)
+    write_ground(tmp_path / "dem.tif", heights)
+    assert 0 < check() < len(tiles_by_block(run))
+    write_tower(200.0)
+    assert check() == len(tiles_by_block(run))
