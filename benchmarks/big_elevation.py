@@ -7,10 +7,11 @@ are made where they are not there, and stay. The overviews of the virtual raster
 
 **open**: a level and its scene, in a fresh process. **worker**: a render process, warmed up as the service does it, and the peak
 of its memory (``VmHWM``) over one block of 16 tiles, a fresh process for each zoom; the block's time is that of the first one.
-**flat**: seconds of CPU a block of 1, 4, 16 and 64 blocks round the middle, whose ground is forgotten before each repeat. **sizes**
-of the block in the middle, of rasters of all sizes over the same ground, the same. **shade**: squares of the virtual raster, as by
-``skugga shade --bounds``. **far**: where a mountain's shadow ends under a sun that is 2 degrees high 60 km away from it, in tiles
-of all zooms and in ``shade``'s grid. Each is a process of its own; medians, and from the least to the greatest.
+**flat**: seconds of CPU a block of 1, 4, 16 and 64 blocks round the middle, whose ground is forgotten before each repeat: side
+by side, where they share the ground beside them, and far apart. **sizes**: the same of the block in the middle, of rasters of all
+sizes over the same ground. **shade**: squares of the virtual raster, as by ``skugga shade --bounds``. **far**: where a mountain's
+shadow ends under a sun that is 2 degrees high 60 km away from it, in tiles of all zooms and in ``shade``'s grid. Each is a process
+of its own; medians, and from the least to the greatest.
 """
 
 from __future__ import annotations
@@ -48,9 +49,12 @@ from terrain.scene import Scene, build_scene
 MERCATOR_SET = "WebMercatorQuad"
 BLOCK_COUNTS = 1, 4, 16, 64
 SUN = SunSpec(azimuth=113.0, altitude=30.0)
+APART = {"together": 1, "apart": 4}
+"""Blocks from one to the next: those apart share no ground, so that each pays for all of the ground beside it."""
+
 FAR_KM = 60.0
 KIB_A_MIB = 1024
-SQUARES_KM = 30.0, 60.0, 120.0
+SQUARES_KM = 30.0, 120.0, 240.0
 """Sides of what is shaded."""
 
 
@@ -115,27 +119,27 @@ def worked(raster: Path, zoom: str) -> dict[str, float | str]:
     return {"zoom": f"{number} ({zoom})", "idle_mib": idle_mib, "peak_mib": status_mib("VmHWM"), "first_s": first_s}
 
 
-def timed_blocks(raster: Path, state: WorkerState, zoom: int, count: int) -> float:
+def timed_blocks(raster: Path, state: WorkerState, zoom: int, count: int, apart: int = 1) -> float:
     """Seconds of CPU a block of so many round the middle over ground not seen before; what the whole level shares is there."""
     scene = state.scenes.get(key_of(raster))
     side = int(np.sqrt(count))
     first = -(side // 2)
-    jobs = [block_job(scene, raster, zoom, first + n // side, first + n % side) for n in range(count)]
+    jobs = [block_job(scene, raster, zoom, (first + n // side) * apart, (first + n % side) * apart) for n in range(count)]
     clear_caches("light", "scene")
     state.blocks.clear()
-    run_job(block_job(scene, raster, zoom, 40, 40), state)
+    run_job(block_job(scene, raster, zoom, 18, 18), state)
     start = time.process_time()
     for job in jobs:
         run_job(job, state)
     return (time.process_time() - start) / count
 
 
-def counted(raster: Path, repeats: int) -> dict[str, list[float]]:
+def counted(raster: Path, apart: int, repeats: int) -> dict[str, list[float]]:
     """Seconds a block of different numbers of them."""
     state = WorkerState(warm_up())
     zoom = zooms_of(state.scenes.get(key_of(raster)))["own"]
     timed_blocks(raster, state, zoom, 4)
-    return {str(count): [timed_blocks(raster, state, zoom, count) for _ in range(repeats)] for count in BLOCK_COUNTS}
+    return {str(count): [timed_blocks(raster, state, zoom, count, apart) for _ in range(repeats)] for count in BLOCK_COUNTS}
 
 
 def sized(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
@@ -152,7 +156,7 @@ def sized(rasters: list[Path], repeats: int) -> dict[str, list[float]]:
 
 
 def shaded(raster: Path, side_km: float) -> dict[str, float]:
-    """``skugga shade`` of a square round the middle of a raster: time of a block, and the process's peak."""
+    """``skugga shade`` of a square round the middle of a raster: CPU of a block, all of the time, and the process's peak."""
     start = time.perf_counter()
     scene = build_scene(load_level(raster)).with_sun(SUN)
     half = side_km * 500.0
@@ -161,7 +165,7 @@ def shaded(raster: Path, side_km: float) -> dict[str, float]:
     opened_s = time.perf_counter() - start
     with tempfile.TemporaryDirectory() as folder:
         start, times = time.perf_counter(), []
-        write_shade(scene, view, "mask", [None], [Path(folder) / "mask.tif"], {}, lambda *_: times.append(time.perf_counter()))
+        write_shade(scene, view, "mask", [None], [Path(folder) / "mask.tif"], {}, lambda *_: times.append(time.process_time()))
         written_s = time.perf_counter() - start
     every = np.diff(times[1:])
     return {
@@ -223,7 +227,7 @@ Case = Callable[[list[Path], str, int], Any]
 CASES: dict[str, Case] = {
     "open": lambda rasters, of, _: opened(rasters[int(of)]),
     "worker": lambda rasters, of, _: worked(rasters[int(of.split(":")[0])], of.split(":")[1]),
-    "flat": lambda rasters, of, repeats: counted(rasters[int(of)], repeats),
+    "flat": lambda rasters, of, repeats: counted(rasters[int(of[0])], APART[of[2:]], repeats),
     "sizes": lambda rasters, _, repeats: sized(rasters, repeats),
     "shade": lambda rasters, of, _: shaded(rasters[-1], float(of)),
     "far": lambda rasters, _, __: far_shadow(rasters[-1]),
@@ -233,7 +237,7 @@ CASES: dict[str, Case] = {
 WHICH: dict[str, tuple[str, ...]] = {
     "open": ("2", "3"),
     "worker": tuple(f"{index}:{zoom}" for index in (2, 3) for zoom in ("lowest", "middle", "own", "last")),
-    "flat": ("2", "3"),
+    "flat": tuple(f"{index}:{how}" for index in (2, 3) for how in APART),
     "sizes": ("all",),
     "shade": tuple(f"{side:g}" for side in SQUARES_KM),
     "far": ("vrt",),
