@@ -15,7 +15,7 @@ NPM := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --no-audit --no-
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long test-browser test-clients test-soak test-lowest lock hunt check notebook viewer viewer-if-possible chromium qgis clean
+.PHONY: help setup run test test-long test-browser test-clients test-soak test-lowest lock hunt check notebook viewer viewer-if-possible chromium qgis nginx clean
 .DELETE_ON_ERROR:
 
 help:
@@ -23,7 +23,7 @@ help:
 	@echo "make test          the tests that take seconds (ARGS='tests/terrain -x')"
 	@echo "make test-long     the tests that take minutes"
 	@echo "make test-browser  the viewer and map clients in Chromium, which is installed where it is missing"
-	@echo "make test-clients  QGIS and GDAL's tools read a service; they are installed where they are missing"
+	@echo "make test-clients  QGIS, GDAL's tools and nginx before a service; they are installed where they are missing"
 	@echo "make test-soak     a service under load and faults, with figures (SOAK_SECONDS=60)"
 	@echo "make test-lowest   a quick part of the tests with the lowest versions that pyproject.toml allows (Python 3.11)"
 	@echo "make lock          write requirements.lock: the newest versions that pyproject.toml allows"
@@ -52,7 +52,7 @@ test-browser: setup viewer $(MAP_CLIENTS) chromium
 	$(PYTEST) -m browser $(or $(ARGS),tests/browser)
 
 # One process: one service for all clients. -s, to read which versions there were.
-test-clients: setup qgis
+test-clients: setup qgis nginx
 	$(PYTEST) -s -m clients $(or $(ARGS),tests/clients)
 
 # One process: what is measured is the service's time, not that of other tests.
@@ -119,6 +119,9 @@ chromium:
 qgis:
 	@/usr/bin/python3 -c "import qgis.core" 2>/dev/null && command -v gdal_translate >/dev/null || \
 	    scripts/install-system-packages.sh "the tests of map clients need QGIS and GDAL's tools" python3-qgis qgis-providers gdal-bin
+
+nginx:
+	@test -x /usr/sbin/nginx || scripts/install-system-packages.sh "the tests of the cache before the service need nginx" nginx-light
 
 # One quick retry: where the registry cannot be reached, the viewer is given up in seconds, not minutes.
 $(MODULES) $(MAP_CLIENTS): %/node_modules/.package-lock.json: %/package.json %/package-lock.json | $(INSTALLED)

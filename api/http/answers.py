@@ -23,6 +23,9 @@ asking again costs no rendering."""
 FACTS_S = 60
 """How long what is said of levels is fresh."""
 
+ABSENT_S = 86400
+"""How long caches may send what they have where the service is away."""
+
 EXPOSED_HEADERS = (
     "ETag", "Retry-After", "Server-Timing", "X-Request-ID", "X-Skugga-Algorithm", "X-Skugga-Caster-Reach", "X-Skugga-Time",
 )  # fmt: skip
@@ -41,8 +44,12 @@ def is_fresh(request: Request, tag: str) -> bool:
 
 
 def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
-    """Headers of an answer that caches may keep."""
-    return {"ETag": tag, "Cache-Control": f"public, max-age={fresh_s}"}
+    """Headers of an answer that caches may keep for ``fresh_s`` seconds. For as long again they may send it while they ask anew,
+    and longer where they cannot (RFC 5861). What is fresh for less than an hour is never sent stale: it hangs on the clock, on what
+    levels are now, or on a calibration or probe to come.
+    """
+    later = f", stale-while-revalidate={fresh_s}, stale-if-error={ABSENT_S}" if fresh_s >= OWN_SUN_S else ""
+    return {"ETag": tag, "Cache-Control": f"public, max-age={fresh_s}{later}"}
 
 
 def json_answer(request: Request, value: object, **more: str) -> Response:

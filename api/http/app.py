@@ -8,7 +8,6 @@ from pathlib import Path
 
 from fastapi import FastAPI, Request, Response
 from starlette.exceptions import HTTPException
-from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import TooLargeError
@@ -30,6 +29,7 @@ from api.http import (
 )
 from api.http.answers import EXPOSED_HEADERS, VERSION
 from api.http.bearer_token import BearerToken
+from api.http.cross_origin import CrossOrigin
 from api.http.encoded_tiles import EncodedTiles, SentBefore
 from api.http.first_pictures import served_pictures
 from api.http.metrics import ServiceMetrics
@@ -98,7 +98,7 @@ def create_app(
     # Round those that refuse, so that pages of other origins can read why. No header of a request brings cookies or the like with
     # it: pages may send any.
     app.add_middleware(
-        CORSMiddleware, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST"], allow_headers=["*"],
+        CrossOrigin, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST"], allow_headers=["*"],
         expose_headers=list(EXPOSED_HEADERS),
     )  # fmt: skip
     app.add_middleware(Watched, metrics=metrics, access_log=settings.access_log)

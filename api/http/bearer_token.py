@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hmac
 
+from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.http.problems import problem_of, problem_response
 
@@ -14,7 +15,9 @@ OPEN_PATHS = {"/healthz", "/readyz"}
 
 
 class BearerToken:
-    """Refuses requests without the header ``Authorization: Bearer TOKEN`` (RFC 6750), but for health."""
+    """Refuses requests without the header ``Authorization: Bearer TOKEN`` (RFC 6750), but for health. What it lets through no
+    shared cache may keep, which would send it to those without a token.
+    """
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self.app, self._expected = app, f"Bearer {token}".encode()
@@ -26,4 +29,12 @@ class BearerToken:
             if not hmac.compare_digest(given, self._expected):
                 await problem_response(problem_of(401), {"WWW-Authenticate": "Bearer"})(scope, receive, send)
                 return
-        await self.app(scope, receive, send)
+
+        async def send_private(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                if "Cache-Control" in headers:
+                    headers["Cache-Control"] = headers["Cache-Control"].replace("public", "private")
+            await send(message)
+
+        await self.app(scope, receive, send_private)

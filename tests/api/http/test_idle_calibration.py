@@ -86,7 +86,7 @@ def test_rules_first_then_predictions(serve: Serve, tmp_path: Path, caplog: pyte
     by_predictions = client.get(TILE, headers={"If-None-Match": by_rules.headers["etag"]})
     assert (by_predictions.status_code, by_predictions.text) == (200, version)
     assert by_predictions.headers["etag"] != by_rules.headers["etag"]
-    assert by_predictions.headers["cache-control"] == "public, max-age=3600"
+    assert by_predictions.headers["cache-control"].startswith("public, max-age=3600,")
     assert client.get(TILE).text == version, "of the same address, and of the same block, the older tile is kept as well"
     assert client.get(TILE, headers={"If-None-Match": by_predictions.headers["etag"]}).status_code == 304
     assert client.get(OTHER_TILE).text == version
@@ -153,7 +153,7 @@ def test_a_failure_is_told_once(serve: Serve, tmp_path: Path, caplog: pytest.Log
     assert (tmp_path / "begun").read_text().count("\n") == 1
     (warning,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert "could not be calibrated" in warning and reason in warning
-    assert policy(client) == "rules" and client.get(OTHER_TILE).headers["cache-control"] == "public, max-age=3600"
+    assert policy(client) == "rules" and client.get(OTHER_TILE).headers["cache-control"].startswith("public, max-age=3600,")
 
 
 def test_one_that_takes_too_long_is_given_up(serve: Serve, tmp_path: Path, monkeypatch, caplog: pytest.LogCaptureFixture):
@@ -166,14 +166,14 @@ def test_one_that_takes_too_long_is_given_up(serve: Serve, tmp_path: Path, monke
 def test_the_setting_switches_it_off(serve: Serve, tmp_path: Path, caplog: pytest.LogCaptureFixture):
     client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), calibrate_when_idle=False)
     assert state(client) == "off" and said(caplog, "SKUGGA_CALIBRATE_WHEN_IDLE is false") == 1
-    assert client.get(TILE).headers["cache-control"] == "public, max-age=3600"
+    assert client.get(TILE).headers["cache-control"].startswith("public, max-age=3600,")
     time.sleep(0.4)
     assert not (tmp_path / "begun").exists()
 
 
 def test_nothing_is_calibrated_where_there_is_no_device(serve: Serve, tmp_path: Path):
     client = serve(functools.partial(fake_calibrations.failing, tmp_path / "begun"), target=fake_workers.obedient)
-    assert state(client) == "none" and client.get(TILE).headers["cache-control"] == "public, max-age=3600"
+    assert state(client) == "none" and client.get(TILE).headers["cache-control"].startswith("public, max-age=3600,")
     time.sleep(0.4)
     assert not (tmp_path / "begun").exists()
 

@@ -59,7 +59,7 @@ def test_predictions_first_then_what_was_probed(serve: Serve, caplog: pytest.Log
     version = client.service.pool.plan_version(level)
     assert version != predicted.text
     probed = client.get(TILE, headers={"If-None-Match": predicted.headers["etag"]})
-    assert (probed.status_code, probed.text, probed.headers["cache-control"]) == (200, version, "public, max-age=3600")
+    assert (probed.status_code, probed.text, "max-age=3600," in probed.headers["cache-control"]) == (200, version, True)
     assert client.get(OTHER_TILE).text == version
     assert [path.stem for path in kept()] == [level.version]
     assert load_probes(kept()[0]) == fake_probes.at_once(level, fake_workers.UNPROBED.sun, profile())
@@ -77,7 +77,7 @@ def test_another_service_goes_by_it_from_its_first_tile(serve: Serve):
 def test_probes_of_a_command_beside_it_are_taken_up(serve: Serve):
     client = serve(probe_when_idle=False)
     before = client.get(TILE)
-    assert waiting(client) == 0 and before.headers["cache-control"] == "public, max-age=3600"
+    assert waiting(client) == 0 and before.headers["cache-control"].startswith("public, max-age=3600,")
     level = client.service.levels.known()[0].key
     probes = MapProbes(classes=(ProbedClass(scale=4, sun=-1, seen={"sun": (fake_probes.seen(),)}),))
     save_probes(fake_workers.RENDERER, fake_workers.VERSION, level.version, probes)

@@ -281,6 +281,8 @@ def test_only_pages_of_the_setting_s_origins_may_ask(serve_with):
         refusal = client.get("/levels", headers={"Origin": origin})
         check_problem(refusal, 401, "unauthorized", None)
         assert ("access-control-allow-origin" in refusal.headers) == allowed, "a page has to be able to read why"
+        assert refusal.headers["vary"] == "Origin"
+    assert client.get("/levels").headers["vary"] == "Origin", "or a cache would send it to pages"
 
 
 @pytest.mark.parametrize("path", ["/healthz", "/readyz", "/metrics"])

@@ -172,8 +172,23 @@ def test_headers(client: Client):
     words = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
     assert set(words) == {"used", "needed", "clipped"}
     assert int(words["needed"]) >= 0 and words["clipped"] in ("yes", "no")
-    assert answer.headers["cache-control"] == "public, max-age=3600"
-    assert client.get(TILE, params=NIGHT).headers["cache-control"] == "public, max-age=86400"
+    later = "stale-while-revalidate={0}, stale-if-error=86400"
+    assert answer.headers["cache-control"] == f"public, max-age=3600, {later.format(3600)}"
+    given = client.get(TILE, params=NIGHT)
+    assert given.headers["cache-control"] == f"public, max-age=86400, {later.format(86400)}"
+    unchanged = client.get(TILE, params=NIGHT, headers={"If-None-Match": given.headers["etag"]})
+    assert unchanged.status_code == 304 and unchanged.headers["cache-control"] == given.headers["cache-control"]
+
+
+def test_what_hangs_on_the_clock_or_is_said_of_levels_is_never_stale(client: Client):
+    for address in (
+        f"{TILE}?time=current",
+        "/levels/hills",
+        "/levels/hills/WebMercatorQuad/tilejson.json",
+        "/levels/hills/point?lon=8.4&lat=47.5",
+    ):
+        answer = client.get(address)
+        assert answer.status_code == 200 and "stale" not in answer.headers["cache-control"], address
 
 
 def test_tags_tell_pictures_apart(client: Client):
@@ -200,6 +215,9 @@ def test_other_origins_may_read(client: Client):
     answer = client.get(TILE, headers={"Origin": "https://map.example"})
     assert answer.headers["access-control-allow-origin"] == "*"
     assert "X-Skugga-Caster-Reach" in answer.headers["access-control-expose-headers"]
+    of_no_page = client.get(TILE)
+    for name in ("access-control-allow-origin", "access-control-expose-headers", "vary"):
+        assert of_no_page.headers.get(name) == answer.headers.get(name), "a cache sends the one to who asks for the other"
 
 
 def test_tiles_of_one_block_at_once_are_one_render(client: Client):

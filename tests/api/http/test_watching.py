@@ -170,7 +170,8 @@ def test_a_token_is_asked_for_where_there_is_one(serve_with):
             assert answer.headers["www-authenticate"] == "Bearer"
     right = {"Authorization": "Bearer a secret token"}
     assert client.get("/levels", headers=right).status_code == 200
-    assert client.get(TILE, headers=right).status_code == 200
+    tile = client.get(TILE, headers=right)
+    assert tile.status_code == 200 and tile.headers["cache-control"].startswith("private, max-age="), "a proxy would send it to all"
     check_problem(client.get(TILE), 401, "unauthorized", None)
     assert client.get("/healthz").status_code == 200
     preflight = {

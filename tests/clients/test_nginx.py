@@ -1,0 +1,335 @@
+"""Debian's nginx as a cache before the service, by the configuration of ``examples/deployment``: only its addresses and folders are
+others here. The service is a process of its own, which is stopped, killed and started anew.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import os
+import pwd
+import re
+import shutil
+import signal
+import socket
+import statistics
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from urllib.parse import quote
+
+import httpx
+import pytest
+from pmtiles.reader import Reader
+
+from tests.api.conftest import CORNER, PNG, ZOOM, write_level, write_tiles
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIGURATION = ROOT / "examples" / "deployment" / "nginx.conf"
+
+READY_S = 600
+SOON_S = 30
+TILES = "/levels/hills/tiles/WebMercatorQuad"
+TILE = f"{TILES}/{ZOOM}/{CORNER[0]}/{CORNER[1]}.png"
+HOUR_S, DAY_S = 3600, 86400
+
+CACHE_VERSION = 5
+"""Of nginx's files: 64-bit numbers are first its version, then when what lies there expires (seconds since 1970)."""
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        return listening.getsockname()[1]
+
+
+def eventually(what: Callable[[], bool], within_s: float = SOON_S) -> None:
+    end = time.monotonic() + within_s
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+class Deployment:
+    """A service of hills behind nginx, each a process; ``client`` asks nginx, ``direct`` the service."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.level = folder, write_level(folder, "hills")
+        self.service_port, self.port = free_port(), free_port()
+        self.client = httpx.Client(base_url=f"http://127.0.0.1:{self.port}", timeout=120)
+        self.direct = httpx.Client(base_url=f"http://127.0.0.1:{self.service_port}", timeout=120)
+        (folder / "archives").mkdir()
+        write_tiles(folder / "archives" / "shadows.pmtiles", {(ZOOM, *CORNER): PNG}, layer="shadow")
+        self._started: list[subprocess.Popen[bytes]] = []
+
+    def start_service(self) -> None:
+        """Start it, and wait until it can draw."""
+        settings = {"SKUGGA_CALIBRATE_WHEN_IDLE": "false", "SKUGGA_PROBE_WHEN_IDLE": "false", "SKUGGA_WORKERS": "1"}
+        command = [sys.executable, "-c", "from api.cli.main import main; main()", "serve", str(self.level)]
+        with (self.folder / "service.log").open("a") as log:
+            self.service = subprocess.Popen(
+                [*command, "--port", str(self.service_port)], cwd=ROOT, env={**os.environ, **settings}, stderr=log
+            )
+        self._started.append(self.service)
+        eventually(lambda: self._answers(self.direct, "/readyz"), READY_S)
+
+    def kill_service(self) -> None:
+        self.service.kill()
+        self.service.wait()
+
+    def _answers(self, client: httpx.Client, address: str) -> bool:
+        assert self._started[-1].poll() is None, "\n".join(path.read_text() for path in self.folder.glob("*.log"))
+        try:
+            return client.get(address).status_code == 200
+        except httpx.TransportError:
+            return False
+
+    def start_nginx(self) -> None:
+        """As an ordinary user, also where the tests are root's: then it is the user that the configuration names."""
+        text = CONFIGURATION.read_text(encoding="utf-8")
+        for here, there in {
+            "listen 8080 ": f"listen 127.0.0.1:{self.port} ", "127.0.0.1:8000": f"127.0.0.1:{self.service_port}",
+            "/run/nginx.pid": f"{self.folder}/nginx.pid", "/var/log/nginx/": f"{self.folder}/",
+            "/var/lib/nginx/": f"{self.folder}/", "/var/cache/nginx": f"{self.folder}/cache",
+            "/srv/skugga/archives/": f"{self.folder}/archives/",
+        }.items():  # fmt: skip
+            assert here in text, here
+            text = text.replace(here, there)
+        (self.folder / "nginx.conf").write_text(text, encoding="utf-8")
+        user = {}
+        if os.geteuid() == 0:
+            entry = pwd.getpwnam(re.search(r"^user ([\w-]+);", text, re.MULTILINE)[1])  # type: ignore[index]
+            os.chown(self.folder, entry.pw_uid, entry.pw_gid)
+            user = {"user": entry.pw_uid, "group": entry.pw_gid, "extra_groups": []}
+        command = ["nginx", "-e", f"{self.folder}/start.log", "-c", f"{self.folder}/nginx.conf", "-g", "daemon off;"]
+        self._started.append(subprocess.Popen(command, stderr=subprocess.DEVNULL, **user))  # type: ignore[call-overload]
+        eventually(lambda: self._answers(self.client, "/healthz"))
+
+    def close(self) -> None:
+        for process in self._started:
+            process.terminate()
+        for process in self._started:
+            process.wait(SOON_S)
+        self.client.close()
+        self.direct.close()
+
+    def counted(self) -> Counter[str]:
+        """What the service has done: answers of tiles by status, and pictures drawn."""
+        text, counts = self.direct.get("/metrics").text, Counter[str]()
+        for route, status, number in re.findall(r'skugga_requests_total\{.*?route="(.*?)",status="(\d+)"\} (\S+)', text):
+            counts[status] += int(float(number)) if "/tiles/" in route else 0
+        (drawn,) = re.findall(r'skugga_jobs_total\{outcome="answered"\} (\S+)', text)
+        counts["drawn"] = int(float(drawn))
+        return counts
+
+    def expire(self, address: str, ago_s: float) -> None:
+        """Let what nginx keeps of an address have expired so long ago."""
+        name = hashlib.md5(f"{self.client.base_url}{address}".encode()).hexdigest()
+        with (self.folder / "cache" / name[-1] / name[-3:-1] / name).open("r+b") as file:
+            version, until = struct.unpack("<Qq", file.read(16))
+            assert version == CACHE_VERSION, "another nginx: look at its ngx_http_file_cache_header_t"
+            assert until > time.time() - 10 * DAY_S
+            file.seek(8)
+            file.write(struct.pack("<q", int(time.time() - ago_s)))
+
+
+@pytest.fixture(scope="module")
+def deployment() -> Iterator[Deployment]:
+    if shutil.which("nginx", path=f"{os.environ['PATH']}:/usr/sbin") is None:
+        pytest.skip("there is no nginx: 'make test-clients' installs it, or 'apt-get install nginx-light'")
+    print(subprocess.run(["nginx", "-v"], capture_output=True, text=True, check=True).stderr.strip())
+    with tempfile.TemporaryDirectory(prefix="skugga-nginx-") as folder:
+        running = Deployment(Path(folder))
+        try:
+            running.start_service()
+            running.start_nginx()
+            yield running
+        finally:
+            running.close()
+
+
+def state(answer: httpx.Response) -> tuple[int, str]:
+    """Status, and what nginx says of its cache."""
+    return answer.status_code, answer.headers.get("x-cache-status", "")
+
+
+def sun(altitude_deg: float) -> str:
+    return f"{TILE}?azimuth=200&altitude={altitude_deg:g}"
+
+
+def test_a_map_client_walks_twice(deployment: Deployment):
+    """Two zooms under four suns, as two browsers that have nothing yet."""
+    walk = [
+        f"{TILES}/{ZOOM + deeper}/{(CORNER[0] << deeper) + col}/{(CORNER[1] << deeper) + row}.png?azimuth=150&altitude={altitude}"
+        for altitude in (8, 14, 25, 40)
+        for deeper in (1, 2)
+        for row in range(-2, 2)
+        for col in range(-2, 2)
+    ]
+    before, seen, took_ms, bodies = deployment.counted(), Counter[str](), {}, {}
+    for turn in ("first", "second"):
+        for address in walk:
+            began_s = time.perf_counter()
+            answer = deployment.client.get(address)
+            took_ms.setdefault(answer.headers["x-cache-status"], []).append((time.perf_counter() - began_s) * 1000)
+            assert answer.status_code == 200
+            assert answer.content == bodies.setdefault(address, answer.content)
+            seen[f"{turn} {answer.headers['x-cache-status']}"] += 1
+    assert seen == {"first MISS": len(walk), "second HIT": len(walk)}
+    asked = deployment.counted() - before
+    assert asked["200"] == len(walk), "the second walk never reached the service"
+    kept = [deployment.direct.get(address).elapsed.total_seconds() * 1000 for address in walk]
+    figures = {**{name.lower(): times for name, times in took_ms.items()}, "kept by the service, without nginx": kept}
+    for name, times in figures.items():
+        print(f"{name}: {len(times)} tiles, median {statistics.median(times):.2f} ms, longest {max(times):.1f} ms")
+
+
+def test_a_client_that_has_a_tile(deployment: Deployment):
+    tag = deployment.client.get(TILE).headers["etag"]
+    before = deployment.counted()
+    for given in (tag, f"W/{tag}", f'"another", {tag}'):
+        answer = deployment.client.get(TILE, headers={"If-None-Match": given})
+        assert state(answer) == (304, "HIT") and answer.headers["etag"] == tag and not answer.content
+    assert state(deployment.client.get(TILE, headers={"If-None-Match": '"another"'})) == (200, "HIT")
+    head = deployment.client.head(TILE)
+    assert state(head) == (200, "HIT") and head.headers["etag"] == tag and not head.content
+    assert deployment.counted() == before, "nothing of that reached the service"
+
+
+def test_what_has_expired_is_asked_for_without_being_drawn(deployment: Deployment):
+    """Also by a service that has just been started, and knows nothing of having drawn it."""
+    first = deployment.client.get(TILE)
+    deployment.kill_service()
+    deployment.start_service()
+    before = deployment.counted()
+    deployment.expire(TILE, HOUR_S + 60)
+    again = deployment.client.get(TILE)
+    assert state(again) == (200, "REVALIDATED") and again.content == first.content
+    assert deployment.counted() - before == {"304": 1}
+    assert state(deployment.client.get(TILE)) == (200, "HIT"), "fresh for another hour"
+
+
+def test_what_has_just_expired_is_sent_while_it_is_asked_for(deployment: Deployment):
+    """The service is stopped: it cannot have been waited for. Each request has its own connection: on the one that began it nginx
+    reads the next request when the update has ended.
+    """
+    first = deployment.client.get(TILE)
+    deployment.expire(TILE, HOUR_S - 60)
+    before = deployment.counted()
+    deployment.service.send_signal(signal.SIGSTOP)
+    try:
+        asked = [httpx.get(f"{deployment.client.base_url}{TILE}") for _ in range(3)]
+    finally:
+        deployment.service.send_signal(signal.SIGCONT)
+    assert [state(answer) for answer in asked] == [(200, "STALE"), (200, "UPDATING"), (200, "UPDATING")]
+    assert {answer.content for answer in asked} == {first.content}
+    eventually(lambda: state(deployment.client.get(TILE)) == (200, "HIT"))
+    assert deployment.counted() - before == {"304": 1}, "asked for once"
+
+
+def test_while_the_service_is_away(deployment: Deployment):
+    """Pictures of a light of their own are sent for a day longer, those of now are not, and it comes back by itself."""
+    of_now, unknown = f"{TILE}?time=current", sun(33.3)
+    kept = deployment.client.get(TILE)
+    assert kept.status_code == deployment.client.get(of_now).status_code == 200
+    deployment.kill_service()
+    try:
+        deployment.expire(TILE, DAY_S - 60)
+        stale = deployment.client.get(TILE)
+        assert state(stale) == (200, "STALE") and stale.content == kept.content
+        deployment.expire(of_now, 1)
+        for address in (of_now, unknown, "/levels"):
+            away = deployment.client.get(address)
+            assert away.status_code == 503 and away.json()["code"] == "not_ready"
+            assert away.headers["content-type"] == "application/problem+json" and away.headers["cache-control"] == "no-store"
+            assert away.headers["retry-after"] == "5" and away.headers["access-control-allow-origin"] == "*"
+        deployment.expire(TILE, DAY_S + 60)
+        assert deployment.client.get(TILE).status_code == 503
+    finally:
+        deployment.start_service()
+    assert state(deployment.client.get(TILE)) == (200, "REVALIDATED")
+    assert deployment.client.get(unknown).status_code == 200, "that it was away is not remembered"
+
+
+def test_equal_requests_at_a_time_are_one(deployment: Deployment):
+    before, address = deployment.counted(), sun(21.7)
+    with ThreadPoolExecutor(20) as threads:
+        answers = list(threads.map(lambda _: httpx.get(f"{deployment.client.base_url}{address}", timeout=120), range(20)))
+    assert {answer.status_code for answer in answers} == {200} and len({answer.content for answer in answers}) == 1
+    assert Counter(answer.headers["x-cache-status"] for answer in answers) == {"MISS": 1, "HIT": 19}
+    assert deployment.counted() - before == {"200": 1, "drawn": 1}
+
+
+def test_each_query_is_another_answer(deployment: Deployment):
+    asked = [deployment.client.get(sun(altitude_deg)) for altitude_deg in (5, 6)]
+    assert [state(answer) for answer in asked] == [(200, "MISS")] * 2 and asked[0].content != asked[1].content
+    before = deployment.client.get(f"{TILE}?time={quote('2024-06-21T18:00:00+02:00')}")
+    later = deployment.client.get(f"{TILE}?time={quote('2024-06-21T20:00:00+02:00')}")
+    assert before.headers["x-skugga-time"] != later.headers["x-skugga-time"] and before.content != later.content
+    other = deployment.client.get(TILE, headers={"Host": "other.example"})
+    assert state(other) == (200, "MISS"), "addresses in answers hang on the host"
+
+
+def test_refusals_are_not_kept(deployment: Deployment):
+    wrong = {f"{TILES}/{ZOOM}/0/0.gif": 422, f"{TILE}?altitude=5": 422, "/levels/nowhere": 404, f"{TILES}/30/0/0.png": 404}
+    for address, status in wrong.items():
+        for _ in range(2):
+            answer = deployment.client.get(address)
+            assert state(answer) == (status, "MISS") and answer.headers["cache-control"] == "no-store", address
+
+
+def test_documents_are_compressed_pictures_are_not(deployment: Deployment):
+    """The length of what is sent says so; the tag is a weak one then, and good enough to be asked with."""
+    address = "/openapi.json"
+    with deployment.client.stream("GET", address, headers={"Accept-Encoding": "gzip"}) as answer:
+        sent = b"".join(answer.iter_raw())
+    assert answer.headers["content-encoding"] == "gzip" and len(gzip.decompress(sent)) > 5 * len(sent)
+    assert "accept-encoding" in answer.headers["vary"].lower()
+    levels = deployment.client.get("/levels/hills", headers={"Accept-Encoding": "gzip"})
+    assert deployment.client.get("/levels/hills", headers={"If-None-Match": levels.headers["etag"]}).status_code == 304
+    assert "content-encoding" not in deployment.client.get(TILE, headers={"Accept-Encoding": "gzip"}).headers
+
+
+def test_pages_of_other_origins_share_what_is_kept(deployment: Deployment):
+    address = sun(44)
+    answers = [deployment.client.get(address, headers={"Origin": origin} if origin else {}) for origin in ("", "https://a.example")]
+    assert [state(answer) for answer in answers] == [(200, "MISS"), (200, "HIT")]
+    assert {answer.headers["access-control-allow-origin"] for answer in answers} == {"*"}
+
+
+def test_what_is_not_for_all(deployment: Deployment):
+    """Metrics are refused however they are spelt, what a token opened is not kept, and each answer has a number of its own."""
+    for address in ("/metrics", "/%6detrics", "//metrics", "/levels/../metrics"):
+        assert httpx.get(f"{deployment.client.base_url}{address}").status_code == 403, address
+    address = sun(47)
+    asked = [deployment.client.get(address, headers={"Authorization": "Bearer something"}) for _ in range(2)]
+    assert [state(answer) for answer in asked] == [(200, "BYPASS")] * 2
+    assert state(deployment.client.get(address)) == (200, "MISS")
+    numbers = [deployment.client.get(address).headers.get_list("x-request-id") for _ in range(2)]
+    assert [len(each) for each in numbers] == [1, 1] and numbers[0] != numbers[1]
+
+
+def test_addresses_in_documents_are_those_of_the_proxy(deployment: Deployment):
+    document = deployment.client.get("/levels/hills/WebMercatorQuad/tilejson.json").json()
+    assert document["tiles"][0].startswith(f"{deployment.client.base_url}/levels/hills/")
+
+
+def test_an_archive_by_ranges_of_bytes(deployment: Deployment):
+    """As map clients read one, without the service."""
+    address, asked = "/files/shadows.pmtiles", []
+
+    def read(offset: int, length: int) -> bytes:
+        answer = deployment.client.get(address, headers={"Range": f"bytes={offset}-{offset + length - 1}"})
+        assert answer.status_code == 206 and answer.headers["access-control-allow-origin"] == "*"
+        asked.append(answer.headers["etag"])
+        return answer.content
+
+    assert Reader(read).get(ZOOM, *CORNER) == PNG
+    assert len(set(asked)) == 1
+    assert deployment.client.get("/files/..%2fhills.yaml").status_code == 404
+    assert deployment.client.get("/files/hills.yaml").status_code == 404
