@@ -256,20 +256,6 @@ def test_while_the_service_is_away(deployment: Deployment):
     assert deployment.client.get(unknown).status_code == 200, "that it was away is not remembered"
 
 
-def test_a_client_that_goes_away_takes_its_request_with_it(deployment: Deployment):
-    """nginx does not go on by itself: nothing is kept, and who asks next is answered by the service."""
-    address = sun(28.1)
-    deployment.service.send_signal(signal.SIGSTOP)
-    try:
-        with pytest.raises(httpx.ReadTimeout):
-            httpx.get(f"{deployment.client.base_url}{address}", timeout=0.5)
-        gone = deployment.folder / "access.log"
-        eventually(lambda: f'{address}" 499 ' in gone.read_text())
-    finally:
-        deployment.service.send_signal(signal.SIGCONT)
-    assert state(deployment.client.get(address)) == (200, "MISS")
-
-
 def test_equal_requests_at_a_time_are_one(deployment: Deployment):
     before, address = deployment.counted(), sun(21.7)
     with ThreadPoolExecutor(20) as threads:
