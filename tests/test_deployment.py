@@ -1,0 +1,59 @@
+"""Files of ``examples/deployment``: what they name is there. nginx runs its own in ``tests/clients``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+from api.settings import Settings
+
+ROOT = Path(__file__).resolve().parents[1]
+DEPLOYMENT = ROOT / "examples" / "deployment"
+FILES = sorted(path for path in DEPLOYMENT.iterdir() if path.is_file())
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_its_settings_are_settings(path: Path):
+    names = {f"SKUGGA_{name.upper()}" for name in Settings.model_fields}
+    assert set(re.findall(r"SKUGGA_[A-Z_]*[A-Z]", path.read_text(encoding="utf-8"))) <= names
+
+
+def test_all_files_are_listed():
+    listed = re.findall(r"\| \[[^]]*\]\((.*?)\)", (DEPLOYMENT / "README.md").read_text(encoding="utf-8"))
+    assert sorted(listed) == [path.name for path in FILES if path.name != "README.md"]
+
+
+def test_what_the_images_are_made_of_is_there_and_sent_to_the_builder():
+    sent = {line[1:] for line in (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines() if line.startswith("!")}
+    copied = set()
+    for line in (DEPLOYMENT / "Dockerfile").read_text(encoding="utf-8").splitlines():
+        if line.startswith("COPY ") and "--from=" not in line:
+            copied.update(line.split()[1:-1])
+    assert copied <= sent and all((ROOT / name).exists() for name in sent)
+    packages = {path.parent.name for path in ROOT.glob("*/__init__.py")} - {"benchmarks", "tests"}
+    assert packages <= copied, "a package more is part of the image, too"
+
+
+def test_containers_may_do_no_more_than_they_need():
+    services = YAML(typ="safe").load((DEPLOYMENT / "compose.yaml").read_text(encoding="utf-8"))["services"]
+    for name, service in services.items():
+        assert service["read_only"] and service["cap_drop"] == ["ALL"] and "no-new-privileges:true" in service["security_opt"], name
+        assert service["mem_limit"] and service["cpus"] and service["pids_limit"], name
+    assert "ports" not in services["service"] and "outside" not in services["service"]["networks"], "nginx alone is reached"
+    dockerfile = (DEPLOYMENT / "Dockerfile").read_text(encoding="utf-8")
+    for target in re.split(r"^FROM ", dockerfile, flags=re.MULTILINE)[1:]:
+        if "CMD" in target:
+            assert re.search(r"^USER (?!root)", target, re.MULTILINE), target.splitlines()[0]
+
+
+def test_nginx_waits_longer_than_a_picture_may_take():
+    """For its level, for its turn, and twice to be drawn."""
+    settings = Settings.model_construct()
+    longest_s = settings.level_timeout_s + settings.queue_timeout_s + 2 * settings.render_timeout_s
+    text = (DEPLOYMENT / "nginx.conf").read_text(encoding="utf-8")
+    for name in ("proxy_read_timeout", "proxy_cache_lock_age", "proxy_cache_lock_timeout"):
+        (waits_s,) = re.findall(rf"{name} (\d+)s;", text)
+        assert int(waits_s) > longest_s, name
