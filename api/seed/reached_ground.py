@@ -19,6 +19,7 @@ from api.seed.ground_chunks import CHUNK_DIGEST_BYTES, GroundChunks
 from api.workers.drawn_blocks import block_of_grid
 from shadows.ground_pictures import SKY_PASS
 from shadows.plan import Plan
+from shadows.registry import ALGORITHMS
 from shadows.visibility import with_apparent_sun
 from terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS
 from terrain.gbuffer.covered_nodes import is_bare
@@ -41,10 +42,6 @@ BESIDE_PX, BESIDE_CELLS = 8, 8
 
 BLUR_DEG = 0.3
 """Half of the sun's disc, and a little more than terrestrial refraction bends a ray of 100 km."""
-
-SWEPT = frozenset({"sweep", "none"})
-"""Algorithms that find the shadow of each place by itself, whatever else is looked at."""
-
 
 @dataclass(frozen=True, eq=False)
 class _Chunks:
@@ -148,8 +145,9 @@ class ReachedGround:
             return None
         light, tall_m = light_space(scene.world, scene.sun), scene.objects.tallest_m
         tops = light.from_earth(self._points.top_earth_m + tall_m * _unit(self._points.top_earth_m))
-        alone = is_bare(scene) and {step.algorithm for step in plan.steps} <= SWEPT
-        return _Sunlit(light, tops, tall_m, alone)
+        # What is drawn with OpenGL is drawn of all casters together, fitted to them; else each place is looked at by itself.
+        fitted = any(ALGORITHMS[step.algorithm].needs_opengl for step in plan.steps)
+        return _Sunlit(light, tops, tall_m, is_bare(scene) and not fitted)
 
     def _shading(self, grid: Grid, x: int, y: int, shown: np.ndarray, sunlit: _Sunlit) -> np.ndarray:
         """The chunks that can throw a shadow on a block whose ground is in the chunks ``shown``."""
