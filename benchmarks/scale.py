@@ -133,7 +133,7 @@ def dask_per_s(folder: Path, tasks: int = 2000) -> float:
     import distributed
 
     index = bytes(448)
-    with cluster(folder, 1) as address, distributed.Client(address, set_as_default=False) as client:
+    with cluster(folder, 1) as address, distributed.Client(address) as client:
         client.submit(_nothing, -1, index, pure=False).result()
         start = time.perf_counter()
         waiting = deque(range(tasks))
