@@ -249,11 +249,12 @@ def tell(found: Measured, workers: int, money: float) -> None:
         packing_h = max(count * tile_bytes / found.packing_bytes_per_s, count / found.packing_tiles_per_s) / 3600.0
         size = count * tile_bytes / 1e9
         print(
-            f"| {place.name} | {place.zoom} | {count / 1e6:,.1f} million | {hours:,.0f} | {size:,.0f} GB | {hours * money:,.0f} | "
-            f"{packing_h:,.1f} h |"
+            f"| {place.name} | {place.zoom} | {count / 1e6:,.1f} million | {_short(hours)} | {_short(size)} GB | "
+            f"{_short(hours * money)} | {_short(packing_h)} h |"
         )
-    print(f"\n| {workers} workers, all land | hours | workers' time that is drawing | tasks lost |\n| --- | --- | --- | --- |")
-    tasks = int(PLACES[-1].tiles / BLOCK_TILES_ALL)
+    tasks = int(PLACES[-1].tiles * TIMES_OF_DAY / BLOCK_TILES_ALL)
+    print(f"\n{PLACES[-1].name}, {TIMES_OF_DAY} times: {tasks} tasks of {BLOCK_TILES_ALL} tiles, {workers} workers\n")
+    print("| | minutes | workers' time that is drawing | tasks lost |\n| --- | --- | --- | --- |")
     for name, per_s, slow, deaths, heaviest in (
         ("as measured, no coordinator's limit", 1e9, 0.0, 0.0, True),
         ("the coordinator alone", found.coordinator_per_s, 0.0, 0.0, True),
@@ -263,7 +264,12 @@ def tell(found: Measured, workers: int, money: float) -> None:
         ("the same, tasks in any order", found.coordinator_per_s, 0.01, 0.1, False),
     ):
         run = simulate(seconds, tasks, workers, per_s, slow, 5.0, deaths, heaviest)
-        print(f"| {name} | {run.hours:.2f} | {run.busy:.0%} | {run.lost} |")
+        print(f"| {name} | {60.0 * run.hours:.1f} | {run.busy:.0%} | {run.lost} |")
+
+
+def _short(value: float) -> str:
+    """Two digits that count, or whole numbers."""
+    return f"{value:,.0f}" if value >= 10.0 else f"{value:.2g}"
 
 
 def main() -> None:
