@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -17,8 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from api.cli.outputs import check_targets
-from api.cli.shading import TIME_WORD
-from api.cli.times import suns_of, time_in_name
+from api.cli.times import TIME_WORD, paths_by_time, suns_of
 from api.matrices import ZoomRange
 from api.seed.drawing import Drawn, check_seeded_format
 from api.seed.local_pool import LocalPool, Runner
@@ -36,7 +35,6 @@ from shadows.registry import served_algorithms
 from terrain.errors import InputError
 from terrain.level.level import parse_algorithm, parse_sun
 from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
 
 TABLE = "tasks.sqlite"
 LOG = "log.jsonl"
@@ -78,7 +76,7 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
     suns = tuple(
         suns_of(parse_sun(options.time, options.azimuth, options.altitude), options.times, options.start, options.end, options.step)
     )
-    paths = outputs_of(options.output, suns)
+    paths = paths_by_time(options.output, suns)
     for path in paths:
         check_output(path)
     check_targets(level, [("--output", path) for path in paths])
@@ -98,16 +96,6 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
             table, run, store, shards, outputs, start, shown.note, options.max_tasks, options.retry_failed
         )  # fmt: skip
         shown.end(done, table)
-
-
-def outputs_of(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
-    """An output for each sun. Raises ``InputError``."""
-    if len(suns) > 1 and TIME_WORD not in output.name:
-        raise InputError("--output", str(output), f"{TIME_WORD} in the name, for {len(suns)} times")
-    paths = [output.with_name(output.name.replace(TIME_WORD, time_in_name(sun, n))) for n, sun in enumerate(suns, start=1)]
-    if len(set(paths)) < len(paths):
-        raise InputError("--times", "a time twice", "different times")
-    return paths
 
 
 def _zooms(text: str | None) -> ZoomRange | None:

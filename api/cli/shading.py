@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from api.cli.outputs import check_targets
-from api.cli.times import time_in_name
+from api.cli.times import paths_by_time
 from api.cli.warnings import say_warnings
 from api.raster_file import RasterCells
 from api.shade import SHADE_LAYERS, Bounds, raster_view, write_shade
@@ -18,7 +18,6 @@ from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
 
-TIME_WORD = "{time}"
 SUFFIXES = ".tif", ".tiff"
 
 
@@ -69,9 +68,4 @@ def files_of(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
         raise InputError("--output", str(output), f"a GeoTIFF: {' or '.join(SUFFIXES)}")
     if not output.parent.is_dir():
         raise FileNotFoundError(2, "folder not found", str(output))
-    if len(suns) > 1 and TIME_WORD not in output.name:
-        raise InputError("--output", str(output), f"{TIME_WORD} in the file's name, for {len(suns)} times")
-    paths = [output.with_name(output.name.replace(TIME_WORD, time_in_name(sun, n))) for n, sun in enumerate(suns, start=1)]
-    if len(set(paths)) < len(paths):
-        raise InputError("--times", "a time twice", "different times")
-    return paths
+    return paths_by_time(output, suns)

@@ -5,12 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 from terrain.errors import InputError
 from terrain.level.level import parse_sun
 from terrain.level.parts import SunSpec
 
 MOST_TIMES = 10_000
+
+TIME_WORD = "{time}"
+"""Stands for the time in a file's name."""
 
 _UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
 
@@ -46,6 +50,16 @@ def time_in_name(sun: SunSpec | None, number: int) -> str:
     if sun is None or sun.time is None:
         return str(number)
     return sun.time.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
+
+
+def paths_by_time(output: Path, suns: Sequence[SunSpec | None]) -> list[Path]:
+    """An output for each sun: ``{time}`` in its name stands for each. Raises ``InputError``."""
+    if len(suns) > 1 and TIME_WORD not in output.name:
+        raise InputError("--output", str(output), f"{TIME_WORD} in the name, for {len(suns)} times")
+    paths = [output.with_name(output.name.replace(TIME_WORD, time_in_name(sun, n))) for n, sun in enumerate(suns, start=1)]
+    if len(set(paths)) < len(paths):
+        raise InputError("--times", "a time twice", "different times")
+    return paths
 
 
 def _moment(name: str, text: str) -> datetime:

@@ -43,6 +43,7 @@ BESIDE_PX, BESIDE_CELLS = 8, 8
 BLUR_DEG = 0.3
 """Half of the sun's disc, and a little more than terrestrial refraction bends a ray of 100 km."""
 
+
 @dataclass(frozen=True, eq=False)
 class _Chunks:
     """Chunks of a raster as points: earth-fixed middles at their highest ground (n, 3), half their diagonals in metres (n,)."""
