@@ -28,9 +28,8 @@ import numpy as np
 
 from api.matrices import ZoomRange
 from api.seed.archive import ArchiveFacts, ShardIndex, write_archive
-from api.seed.drawing import Drawn
+from api.seed.messages import Drawn, Task
 from api.seed.planning import PlannedRun, SeedRequest, plan_run
-from api.seed.run_spec import Task
 from api.seed.running import run_tasks
 from api.seed.storage import FolderStore
 from api.seed.task_table import TaskTable

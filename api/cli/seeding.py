@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -19,8 +18,9 @@ from rich.table import Table
 from api.cli.outputs import check_targets
 from api.cli.times import TIME_WORD, paths_by_time, suns_of
 from api.matrices import ZoomRange
-from api.seed.drawing import Drawn, check_seeded_format
+from api.seed.drawing import check_seeded_format
 from api.seed.local_pool import LocalPool, Runner
+from api.seed.messages import Drawn
 from api.seed.planning import PlannedRun, SeedRequest, plan_run
 from api.seed.publishing import check_output
 from api.seed.running import TaskEnd
@@ -85,17 +85,52 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
     work = options.work or options.output.with_name(options.output.name.replace(TIME_WORD, "times") + ".seed")
     shards = options.shards or str(work.resolve() / "shards")
     store = store_at(shards)
+    if options.scheduler is not None and options.workers is not None:
+        raise InputError("--workers", options.workers, "nothing beside --scheduler: the cluster has its own")
     with TaskTable(work / TABLE) as table, _Shown(work / LOG, options.as_json) as shown:
-        run = plan_run(table, request, shown.say)
-        outputs = dict(zip(run.sun_names, paths, strict=True))
-        if options.dry_run:
-            _outlook(table, run, store, options)
-            return
-        start = _runner(run, shards, options)
-        done = draw_and_publish(
-            table, run, store, shards, outputs, start, shown.note, options.max_tasks, options.retry_failed
-        )  # fmt: skip
+        workers = _Workers(options)
+        if table.get("spec") is None and not options.dry_run:
+            workers.warm_up()  # while tasks are planned: surely there are some
+        try:
+            run = plan_run(table, request, shown.say)
+            outputs = dict(zip(run.sun_names, paths, strict=True))
+            if options.dry_run:
+                _outlook(table, run, store, options)
+                return
+            done = draw_and_publish(
+                table, run, store, shards, outputs, lambda: workers.begin(run, shards), shown.note, options.max_tasks,
+                options.retry_failed,
+            )  # fmt: skip
+        finally:
+            workers.close()
         shown.end(done, table)
+
+
+class _Workers:
+    """What draws, here or on a cluster, by the options."""
+
+    def __init__(self, options: SeedOptions) -> None:
+        self._count, self._scheduler = options.workers or cores(), options.scheduler
+        self._warm: LocalPool | None = None
+
+    def warm_up(self) -> None:
+        """Start processes of this machine, if they are to draw."""
+        if self._scheduler is None:
+            self._warm = LocalPool(self._count)
+
+    def begin(self, run: PlannedRun, shards: str) -> Runner:
+        """What draws a run."""
+        if self._scheduler is not None:
+            from api.seed.dask_cluster import DaskCluster
+
+            return DaskCluster(run.spec, shards, self._scheduler)
+        pool, self._warm = self._warm or LocalPool(self._count), None
+        return pool.begin(run.spec, shards)
+
+    def close(self) -> None:
+        """End what was started, and has not begun a run: that ends its own."""
+        if self._warm is not None:
+            self._warm.close()
 
 
 def _zooms(text: str | None) -> ZoomRange | None:
@@ -105,17 +140,6 @@ def _zooms(text: str | None) -> ZoomRange | None:
     if not found or int(found[1]) > int(found[2] or found[1]):
         raise InputError("--zooms", text, "a zoom or two, the first one first, as 8-13")
     return ZoomRange(int(found[1]), int(found[2] or found[1]))
-
-
-def _runner(run: PlannedRun, shards: str, options: SeedOptions) -> Callable[[], Runner]:
-    if options.scheduler is None:
-        return lambda: LocalPool(run.spec, shards, options.workers or cores())
-    if options.workers is not None:
-        raise InputError("--workers", options.workers, "nothing beside --scheduler: the cluster has its own")
-    from api.seed.dask_cluster import DaskCluster
-
-    address = options.scheduler
-    return lambda: DaskCluster(run.spec, shards, address)
 
 
 def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: SeedOptions) -> None:

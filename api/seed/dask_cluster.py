@@ -16,13 +16,15 @@ from contextlib import suppress
 from dataclasses import replace
 from queue import Empty, Queue
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from api.seed.drawing import Drawn
-from api.seed.render_process import Begun, NotDrawn, RenderProcess, threads_of_one
-from api.seed.run_spec import RunSpec, Task
+from api.seed.messages import Begun, Drawn, NotDrawn, Task
+from api.seed.render_process import RenderProcess, threads_of_one
 from api.seed.storage import store_at
 from terrain.errors import GraphicsError, InputError, RenderError
+
+if TYPE_CHECKING:
+    from api.seed.run_spec import RunSpec
 
 NOBODY_S = 120.0
 """How long it is waited for a scheduler that has gone, and for the first worker: they may be started anew."""
@@ -209,8 +211,8 @@ class _KeptProcess:
     def _of(self, run: tuple[str, str]) -> RenderProcess:
         if self._process is None or self._run != run:
             self._end()
-            spec = RunSpec.model_validate_json(store_at(run[0]).read(run[1]))
-            self._process, self._run = RenderProcess(spec, run[0], threads_of_one(1)), run
+            self._process, self._run = RenderProcess(threads_of_one(1)), run
+            self._process.begin(store_at(run[0]).read(run[1]).decode(), run[0])
             self._process.hear()
         return self._process
 

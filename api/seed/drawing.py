@@ -5,14 +5,14 @@ from __future__ import annotations
 import resource
 import sys
 import time as clock
-from dataclasses import dataclass
 
 from morecantile import tms as matrix_sets
 from pmtiles.tile import zxy_to_tileid
 
 from api.layers import LAYERS, MapFormat, nodata_height_m
 from api.seed.archive import ShardIndex
-from api.seed.run_spec import MATRIX_SET, RunSpec, Task
+from api.seed.messages import Drawn, Task
+from api.seed.run_spec import MATRIX_SET, RunSpec
 from api.seed.storage import ShardStore
 from api.workers.block_tiles import BLOCK_TILES, TILE_PX, cut_tiles, empty_tile, encoded_part
 from api.workers.drawn_blocks import block_of_grid, drawn_block
@@ -26,21 +26,6 @@ from terrain.scene import Scene, build_scene
 
 RSS_UNIT_BYTES = 1 if sys.platform == "darwin" else 1024
 """Of ``getrusage``."""
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """What is told of a task that was drawn: its tiles' index (``ShardIndex.to_bytes``), bytes of its shard, seconds, of which
-    ``encode_s`` for pictures' files, and the most memory that its process ever took.
-    """
-
-    id: int
-    index: bytes
-    nbytes: int
-    seconds: float
-    encode_s: float
-    peak_bytes: int
-    worker: str = ""
 
 
 class Drawer:

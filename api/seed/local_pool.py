@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from multiprocessing.connection import wait
 from typing import Protocol
 
-from api.seed.drawing import Drawn
-from api.seed.render_process import Begun, NotDrawn, RenderProcess, threads_of_one
-from api.seed.run_spec import RunSpec, Task
+from api.seed.messages import Begun, Drawn, NotDrawn, Task
+from api.seed.render_process import RenderProcess, threads_of_one
+from api.seed.run_spec import RunSpec
 from api.settings import cores
 from terrain.errors import GraphicsError
 
@@ -36,13 +36,22 @@ class Runner(Protocol):
 
 
 class LocalPool:
-    """So many processes of this machine. One that dies is replaced; its task is told of as ``died``."""
+    """So many processes of this machine, that warm up until a run is begun. One that dies is replaced; its task is told of as
+    ``died``.
+    """
 
-    def __init__(self, spec: RunSpec, shards: str, workers: int) -> None:
-        self._spec, self._shards = spec, shards
+    def __init__(self, workers: int) -> None:
         self._environment = threads_of_one(max(cores() // workers, 1))
         self._fruitless = 0
-        self._processes = [self._start() for _ in range(workers)]
+        self._run: tuple[str, str] | None = None
+        self._processes = [RenderProcess(self._environment) for _ in range(workers)]
+
+    def begin(self, spec: RunSpec, shards: str) -> LocalPool:
+        """Let them draw for a run; this pool."""
+        self._run = spec.model_dump_json(), shards
+        for process in self._processes:
+            process.begin(*self._run)
+        return self
 
     def free(self) -> int:
         """As the protocol says."""
@@ -83,14 +92,13 @@ class LocalPool:
         """Its processes' ids."""
         return [process.pid for process in self._processes]
 
-    def _start(self) -> RenderProcess:
-        return RenderProcess(self._spec, self._shards, self._environment)
-
     def _replaced(self, process: RenderProcess) -> list[NotDrawn]:
         lost = process.task
         process.end()
         self._fruitless += 1
         if self._fruitless >= MOST_FRUITLESS * len(self._processes):
             raise GraphicsError(f"{self._fruitless} render processes in a row ended before they had drawn anything")
-        self._processes[self._processes.index(process)] = self._start()
+        another = self._processes[self._processes.index(process)] = RenderProcess(self._environment)
+        assert self._run is not None
+        another.begin(*self._run)
         return [] if lost is None else [NotDrawn(lost.id, DIED, "died")]

@@ -13,57 +13,25 @@ import socket
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Literal
+from typing import TYPE_CHECKING
 
-from api.seed.drawing import Drawer, Drawn
-from api.seed.run_spec import RunSpec, Task
+from api.seed.messages import Begin, Begun, Drawn, NotBegun, NotDrawn, Task
 from api.seed.storage import store_at
 from terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.level.gdal_guard import forbid_code
 
+if TYPE_CHECKING:
+    from api.seed.drawing import Drawer
+    from api.seed.run_spec import RunSpec
+
 log = logging.getLogger("skugga.worker")
 
 
-@dataclass(frozen=True)
-class Begin:
-    """Tells a process which run's tasks it will draw (``RunSpec`` as JSON), and where their shards go."""
-
-    spec: str
-    shards: str
-
-
-@dataclass(frozen=True)
-class Begun:
-    """It is ready to draw."""
-
-    renderer: str
-
-
-@dataclass(frozen=True)
-class NotDrawn:
-    """A task that was not drawn, and why: it ``failed``, its worker ``died``, the run is ``stopped``, whatever the task, or a
-    ``worker`` of a cluster is ``refused``.
-    """
-
-    id: int
-    error: str
-    how: Literal["failed", "died", "stopped", "refused"]
-    worker: str = ""
-
-
-@dataclass(frozen=True)
-class NotBegun:
-    """A process that cannot draw tasks of a run."""
-
-    error: str
-
-
 class RenderProcess:
-    """A child that draws tasks, one at a time. To be started, asked from one thread, and ended."""
+    """A child that draws tasks, one at a time. It warms up, and waits to ``begin`` a run. One thread asks it, and ends it."""
 
-    def __init__(self, spec: RunSpec, shards: str, environment: Mapping[str, str]) -> None:
+    def __init__(self, environment: Mapping[str, str]) -> None:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
@@ -73,7 +41,13 @@ class RenderProcess:
         self.connection = Connection(ours.detach())
         self.begun = False
         self.task: Task | None = None
-        self.connection.send(Begin(spec.model_dump_json(), shards))
+
+    def begin(self, spec: str, shards: str) -> None:
+        """Let it draw for a run (``RunSpec`` as JSON); ``hear`` tells when it is ready."""
+        try:
+            self.connection.send(Begin(spec, shards))
+        except OSError:
+            pass  # it has ended: that is heard of
 
     @property
     def pid(self) -> int:
@@ -121,11 +95,16 @@ def draw_tasks(descriptor: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the one that started it
     forbid_code()
     connection = Connection(descriptor)
+    from api.seed.drawing import Drawer  # what draws: here alone, and while nobody waits yet
+    from api.seed.run_spec import RunSpec
+    from api.workers.warm_up import warm_up
+
     try:
-        begin = connection.recv()
-        spec = RunSpec.model_validate_json(begin.spec)
         try:
-            renderer = check_renderer(spec)
+            renderer = warm_up()
+            begin = connection.recv()
+            spec = RunSpec.model_validate_json(begin.spec)
+            check_renderer(renderer, spec)
             drawer = Drawer(spec, store_at(begin.shards))
         except SkuggaError as error:
             connection.send(NotBegun(str(error)))
@@ -138,14 +117,10 @@ def draw_tasks(descriptor: int) -> None:
         return
 
 
-def check_renderer(spec: RunSpec) -> str:
-    """Warm up and say what draws here. Raises ``GraphicsError`` where that is not what a run was planned for."""
-    from api.workers.warm_up import warm_up
-
-    renderer = warm_up()
+def check_renderer(renderer: str, spec: RunSpec) -> None:
+    """Raise ``GraphicsError`` where what draws is not what a run was planned for."""
     if renderer != spec.renderer:
         raise GraphicsError(f"the run was planned for the renderer '{spec.renderer}'; this worker draws with '{renderer}'")
-    return renderer
 
 
 def draw(drawer: Drawer, task: Task) -> Drawn | NotDrawn:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
@@ -58,14 +57,3 @@ class RunSpec(BaseModel):
     def plan_by_place(self) -> dict[tuple[int, int], Plan]:
         """Plans by sun and zoom."""
         return {(each.sun, each.zoom): each.read for each in self.plans}
-
-
-class Task(NamedTuple):
-    """A metatile: a block (x, y) of a zoom under a sun, and the name of the shard that its tiles go to."""
-
-    id: int
-    sun: int
-    zoom: int
-    x: int
-    y: int
-    shard: str

@@ -7,11 +7,9 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from api.seed.drawing import Drawn
 from api.seed.local_pool import Runner
+from api.seed.messages import Drawn, NotDrawn, Task
 from api.seed.planning import PlannedRun
-from api.seed.render_process import NotDrawn
-from api.seed.run_spec import Task
 from api.seed.task_table import TaskTable
 from terrain.errors import RenderError
 

@@ -12,7 +12,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from api.seed.drawing import Drawn
+from api.seed.messages import Drawn
 from terrain.errors import InputError, RenderError
 
 FORMAT = 1

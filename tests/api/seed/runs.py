@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from api.matrices import ZoomRange
-from api.seed.drawing import Drawer, Drawn
+from api.seed.drawing import Drawer
+from api.seed.messages import Drawn, NotDrawn, Task
 from api.seed.planning import PlannedRun, SeedRequest, plan_run
-from api.seed.render_process import NotDrawn
-from api.seed.run_spec import Task
 from api.seed.running import TaskEnd
 from api.seed.seeding import Seeded, draw_and_publish
 from api.seed.storage import FolderStore

@@ -11,8 +11,8 @@ from pmtiles.tile import tileid_to_zxy
 
 from api.seed import planning
 from api.seed.archive import ShardIndex
+from api.seed.messages import NotDrawn
 from api.seed.publishing import MANIFEST
-from api.seed.render_process import NotDrawn
 from api.seed.running import shard_name
 from api.seed.seeding import FAILED_LIST
 from api.seed.task_table import TaskTable
