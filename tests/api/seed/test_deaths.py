@@ -81,7 +81,7 @@ def test_fifty_deaths(folder: Path):
             (folder / "a.pmtiles").unlink()
     assert runs > DEATHS / OF_A_RUN / 2
     last = subprocess.run(command(folder, "a.pmtiles", "--json", "--retry-failed"), capture_output=True, text=True, check=True)
-    assert json.loads(last.stdout)["written"] == [str(folder / "a.pmtiles")]
+    assert json.loads(last.stdout)["written"] in ([], [str(folder / "a.pmtiles")])  # the last death may have come after the archive
     assert (folder / "a.pmtiles").read_bytes() == (folder / "whole.pmtiles").read_bytes()
     checked(folder / "a.pmtiles")
     left = [path.name for path in folder.iterdir() if not path.name.startswith((".", "dem", "a.", "whole."))]
