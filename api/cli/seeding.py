@@ -39,8 +39,8 @@ from terrain.level.level_source import LevelSource
 TABLE = "tasks.sqlite"
 LOG = "log.jsonl"
 
-USUAL_TILE_BYTES = {"color": 60_000, "shadow": 12_000, "mask": 4_000, "terrain-rgb": 70_000, "terrarium": 70_000}
-"""Of a tile that is full of relief, as PNG, where none was drawn yet."""
+USUAL_TILE_BYTES = {"color": 84_000, "shadow": 13_000, "mask": 4_000, "terrain-rgb": 70_000, "terrarium": 70_000}
+"""Of a tile that is full of relief, as PNG, where none was drawn yet: of mountains in colour (docs/scale.md), of others guessed."""
 
 
 @dataclass(frozen=True)
@@ -260,5 +260,5 @@ class _Shown:
             self._bar = Progress(*columns, console=self._console, transient=True)
             self._row = self._bar.add_task("", total=done.total)
             self._bar.start()
-        self._bar.console.print(text, highlight=False)
+        self._bar.console.print(text, highlight=False, markup=False)
         self._bar.update(self._row, completed=done.done, total=done.total)
