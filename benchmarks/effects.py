@@ -66,7 +66,8 @@ from terrain.gl.device import device
 from terrain.level.level import EffectName, load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
-from terrain.shading import shade, sky, srgb_encoded
+from terrain.shading import shade, srgb_encoded
+from terrain.sky import sky
 
 SIDE_PX, CELL_M, WAVE_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
 """The plain: cells a side and a map's pixels, their size, and the length and height of the waves of its ground."""

@@ -30,7 +30,8 @@ from terrain.geo.grid import MapView, blocks_of
 from terrain.geo.world import LocalFrame
 from terrain.level.level import SUN, EffectName
 from terrain.scene import Scene
-from terrain.shading import albedo_of, open_sky, shade, sky, srgb_encoded
+from terrain.shading import albedo_of, open_sky, shade, srgb_encoded
+from terrain.sky import sky
 
 RENDERER_VERSION = 1
 """Raised by hand with every change by which any picture becomes another one: pyramids of before are drawn anew then."""

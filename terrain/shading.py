@@ -12,7 +12,6 @@ from terrain.compiled import compiled
 from terrain.gbuffer.bare_ground import BareGround
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import FOREST, RELIEF
-from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
 from terrain.srgb import linear_of_srgb, srgb_of_linear
 
@@ -51,12 +50,6 @@ LAMP_ROOM_LIGHT = 0.4
 
 LEAF_GLOW = 0.3
 """Share of its light that foliage shows whichever way it is turned: leaves let light through and lie in all directions."""
-
-SKY_ZENITH, SKY_HORIZON = (0.20, 0.36, 0.66), (0.72, 0.82, 0.92)
-"""Linear colours of the day's sky behind a perspective view."""
-
-CLOUDY_SKY = (0.60, 0.64, 0.68)
-"""Linear colour of a sky that clouds cover."""
 
 CLOUD_LIGHT = (0.94, 0.97, 1.00)
 """Linear colour of the light that comes through clouds."""
@@ -216,41 +209,6 @@ def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
 def water_in(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Where (rows, cols) a buffer shows standing water: ground at its height."""
     return (buffer.kind == RELIEF) & (np.abs(buffer.height_m - scene.elevation.water_m) <= SHORE_M)
-
-
-def sky(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
-    """Linear display colour (n, 3) of the sky in some pixels of a view: paler towards the horizon, dark by night."""
-    up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
-    tangents = np.array([view.col0, view.row0, view.step]) / view.focal_px
-    return _sky(rows, cols, tangents, up @ view.earth_from_camera, *sky_colors(scene))
-
-
-def sky_colors(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Linear display colours (3,) of the sky at the horizon and at the zenith, by the sun's altitude and the clouds."""
-    sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
-    light = 0.02 + 0.98 * dusk_of(sine)
-    cover = scene.loaded.level.weather.cloud_cover
-    grey = np.array(CLOUDY_SKY)
-    horizon, zenith = ((1.0 - cover) * np.array(color) + cover * grey for color in (SKY_HORIZON, SKY_ZENITH))
-    return horizon * light, zenith * light
-
-
-@compiled
-def zenith_share(sine):
-    """How far the sky's colour is the zenith's, and not the horizon's, at the sine of an altitude."""
-    return 1.0 - np.exp(-4.0 * max(sine, 0.0))
-
-
-@compiled
-def _sky(rows, cols, tangents, up, horizon, zenith):
-    out = np.empty((rows.size, 3), np.float32)
-    for n in range(rows.size):
-        x, y = tangents[0] + cols[n] * tangents[2], tangents[1] + rows[n] * tangents[2]
-        sine = (x * up[0] + y * up[1] + up[2]) / np.sqrt(1.0 + x * x + y * y)
-        share = zenith_share(sine)
-        for k in range(3):
-            out[n, k] = (1.0 - share) * horizon[k] + share * zenith[k]
-    return out
 
 
 def srgb_encoded(linear: np.ndarray) -> np.ndarray:

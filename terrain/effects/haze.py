@@ -7,7 +7,11 @@ colour c at distance d the share T = exp(-b d) arrives; the air in front of it s
     T c + (1 - T) h
 
 so that what is far away goes over into the foot of the sky without a seam. The sky itself stays as it is: h is the colour of
-air without an end. The air is taken to be the same at all heights.
+air without an end in that direction, warm towards a low sun. The air is taken to be the same at all heights.
+
+V is measured by green light. What of b the air itself scatters (J. W. Strutt, Lord Rayleigh 1871; 13.6e-6 / m of green at most)
+falls with the fourth power of the wavelength, what dust and drops scatter hardly does: far ridges are blue in clear air, and grey
+in mist. A level that sets no visibility lies in clear air, too, and no farther than some tens of kilometres can be seen well.
 
 **What shows.** Linear colours x < y differ by no more than one of 255 where the sRGB codes of the encoder's bins that they can
 fall into do. The bins are 1/4096 wide, which at black is 0.8 of a step. Codes rise ever more slowly with the colour, and x
@@ -17,6 +21,8 @@ times their slope with it, so that
 - sunlight is told from shadow most easily on what is white and else black: (1 - T) h against (1 - T) h + T g, where g is white
   in full sun alone: more light from elsewhere only brings the two nearer. Where a part of a pixel alone shows it, and the rest
   something black, both are that part of it.
+
+Each channel is looked at by itself, with the darkest or brightest that the horizon is anywhere in it, whichever shows more.
 """
 
 from __future__ import annotations
@@ -35,11 +41,18 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
 from terrain.scene import Scene
-from terrain.shading import daylight_of, sky_colors
+from terrain.shading import daylight_of
+from terrain.sky import horizon_colors, sky_color, sky_of, sunward
 from terrain.srgb import srgb_of_linear
 
 CONTRAST = 0.02
 """What is left of a black object's contrast with the horizon at the distance called visibility."""
+
+CLEAR_AIR_M = 100_000.0
+"""Visibility where a level sets none: clear weather, without the dust of a dry summer."""
+
+RAYLEIGH_PER_M = (5.802e-6, 13.558e-6, 33.1e-6)
+"""Scattering of red, green and blue light by air at sea level (E. Bruneton and F. Neyret 2008)."""
 
 BIN = 1.0 / 4096.0
 """Width of the bins of linear colour that ``terrain.shading.srgb_encoded`` tells apart."""
@@ -52,13 +65,13 @@ SAMPLE_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out in maps, in clear air, and where all that is seen is too near for the air in between to show."""
+    """Left out in maps, and where all that is seen is too near for the air in between to show."""
     if descriptor.view_kind == "map":
         return Verdict(False, "a map view has no viewing distance, so no haze")
     facts = descriptor.facts["haze"]
     visibility_m, farthest_m, shows_from_m = (facts.get(key) for key in ("visibility_m", "farthest_m", "shows_from_m"))
     if visibility_m is None:
-        return Verdict(False, "clear air: the level sets no weather.visibility")
+        return Verdict(False, "the descriptor has no visibility")
     assert isinstance(visibility_m, float) and isinstance(farthest_m, float) and isinstance(shows_from_m, float)
     if farthest_m <= shows_from_m:
         reason = f"no visible surface is farther than {_metres(farthest_m)}; at {_metres(visibility_m)} of visibility"
@@ -75,9 +88,9 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     The last is what the coarse look has met, where that is enough for haze to show; else nothing that the look may have missed
     lies farther.
     """
-    visibility_m = scene.loaded.level.weather.visibility
-    if coarse_view is None or visibility_m is None:
-        return {"visibility_m": visibility_m}
+    if coarse_view is None:
+        return {"visibility_m": scene.loaded.level.weather.visibility}
+    visibility_m = visibility_of(scene)
     shows_from_m = _shows_from_m(scene, visibility_m)
     farthest_m = float(coarse_view.away_m.max(initial=0.0))
     if farthest_m <= shows_from_m and isinstance(view, PerspectiveView):
@@ -85,9 +98,21 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"visibility_m": visibility_m, "farthest_m": farthest_m, "shows_from_m": shows_from_m}
 
 
+def visibility_of(scene: Scene) -> float:
+    """The meteorological visibility over a level, metres."""
+    visibility_m = scene.loaded.level.weather.visibility
+    return CLEAR_AIR_M if visibility_m is None else visibility_m
+
+
 def extinction(visibility_m: float) -> float:
-    """Share of light that a metre of air takes away, per metre, by Koschmieder's formula."""
+    """Share of green light that a metre of air takes away, per metre, by Koschmieder's formula."""
     return float(-np.log(CONTRAST) / visibility_m)
+
+
+def extinctions(visibility_m: float) -> np.ndarray:
+    """The same of red, green and blue light (3,)."""
+    green, air = extinction(visibility_m), np.array(RAYLEIGH_PER_M)
+    return green + min(green, air[1]) * (air / air[1] - 1.0)
 
 
 def farthest_in_view_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> float:
@@ -131,15 +156,13 @@ def _pyramid(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.n
 def hides_beyond_m(scene: Scene) -> float:
     """The distance from which haze hides whether the sun shines on a point: no pixel's colour differs by more than one of 255.
 
-    Infinite in clear air, 0 where the sun is down everywhere.
+    0 where the sun is down everywhere.
     """
-    visibility_m = scene.loaded.level.weather.visibility
-    if visibility_m is None:
-        return np.inf
     if not scene.sun_is_up:
         return 0.0
-    share = _hiding_share(tuple(sky_colors(scene)[0]), tuple(_white_in_sun(scene)))
-    return float(-np.log(share) / extinction(visibility_m))
+    darkest = horizon_colors(scene).min(axis=0)
+    shares = [_hiding_share((dark,), (white,)) for dark, white in zip(darkest, _white_in_sun(scene), strict=True)]
+    return float((-np.log(shares) / extinctions(visibility_of(scene))).max())
 
 
 def _white_in_sun(scene: Scene) -> np.ndarray:
@@ -152,7 +175,9 @@ def _white_in_sun(scene: Scene) -> np.ndarray:
 
 def _shows_from_m(scene: Scene, visibility_m: float) -> float:
     """The distance up to which haze changes no pixel, black and white ones included, by more than one of 255."""
-    return float(-np.log1p(-_showing_share(tuple(sky_colors(scene)[0]))) / extinction(visibility_m))
+    horizon = horizon_colors(scene)
+    shares = [_showing_share((dark,), (bright,)) for dark, bright in zip(horizon.min(axis=0), horizon.max(axis=0), strict=True)]
+    return float((-np.log1p(-np.array(shares)) / extinctions(visibility_m)).min())
 
 
 @cached("process", MIB)
@@ -165,10 +190,11 @@ def _hiding_share(horizon: tuple[float, ...], white: tuple[float, ...]) -> float
 
 
 @cached("process", MIB)
-def _showing_share(horizon: tuple[float, ...]) -> float:
-    """The largest share of the horizon's light that shows neither on black nor on white."""
-    black = np.zeros((1, 3))
-    hidden = _alike(black, SHARES[:, None] * horizon) & _alike(1.0 - SHARES[:, None] * (1.0 - np.array(horizon)), black + 1.0)
+def _showing_share(darkest: tuple[float, ...], brightest: tuple[float, ...]) -> float:
+    """The largest share of a horizon's light that shows neither on black, where it is brightest, nor on white, where darkest."""
+    black = np.zeros((1, len(darkest)))
+    hidden = _alike(black, SHARES[:, None] * brightest)
+    hidden &= _alike(1.0 - SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
     return float(SHARES[hidden].max(initial=SHARES[0]))
 
 
@@ -184,26 +210,33 @@ def _metres(length_m: float) -> str:
 
 
 def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
-    """Lay the air over what is seen. A map, and air that is clear, have nothing to lay over it."""
-    visibility_m = block.scene.loaded.level.weather.visibility
-    if visibility_m is None or isinstance(block.view, MapView):
+    """Lay the air over what is seen. A map has no viewing distance, and so nothing to lay over it."""
+    scene, view, frame = block.scene, block.view, block.buffer.frame
+    if isinstance(view, MapView):
         return
-    eye, _ = block.view.in_frame(block.buffer.frame)
-    horizon = sky_colors(block.scene)[0]
-    _veil(color, block.buffer.there, block.buffer.position_frame_m, eye, extinction(visibility_m), horizon)
+    eye, _ = view.in_frame(frame)
+    up = eye - scene.world.up_from(frame)
+    up /= np.linalg.norm(up)
+    level = np.zeros(3) if scene.sun is None else sunward(scene.sun.in_frame(frame), up)
+    _veil(color, block.buffer.there, block.buffer.position_frame_m, eye, extinctions(visibility_of(scene)), up, level, sky_of(scene))
 
 
 @compiled
-def _veil(color, there, position, eye, extinction, horizon):
+def _veil(color, there, position, eye, extinction, up, level, sky):
+    horizon = np.empty(3)
     for i in range(there.shape[0]):
         for j in range(there.shape[1]):
             if not there[i, j]:
                 continue
             p = position[i, j]
             x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-            share = np.exp(-extinction * np.sqrt(x * x + y * y + z * z))
+            away, rise = x * x + y * y + z * z, x * up[0] + y * up[1] + z * up[2]
+            across = np.sqrt(max(away - rise * rise, 1e-12))
+            along = min(max((x * level[0] + y * level[1] + z * level[2]) / across, -1.0), 1.0)
+            sky_color(sky, 0.0, along, horizon)
+            away = np.sqrt(away)
             for k in range(3):
-                color[i, j, k] = horizon[k] + (color[i, j, k] - horizon[k]) * share
+                color[i, j, k] = horizon[k] + (color[i, j, k] - horizon[k]) * np.exp(-extinction[k] * away)
 
 
 @compiled

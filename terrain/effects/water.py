@@ -37,18 +37,8 @@ from terrain.ground.elevation import Elevation
 from terrain.ground.visible_cells import CellRange, block_slices, visible_cells
 from terrain.level.level import SUN
 from terrain.scene import Scene
-from terrain.shading import (
-    SHORE_M,
-    WATER_ALBEDO,
-    daylight_of,
-    dusk_of,
-    exposure_of,
-    night_of,
-    sky_colors,
-    srgb_encoded,
-    water_in,
-    zenith_share,
-)
+from terrain.shading import SHORE_M, WATER_ALBEDO, daylight_of, dusk_of, exposure_of, night_of, srgb_encoded, water_in
+from terrain.sky import sky_color, sky_of
 
 WIND_M_S = 3.0
 """A light breeze."""
@@ -204,9 +194,13 @@ def _change_steps(scene: Scene, cosines: np.ndarray) -> int:
     # Points on a sphere round the eye, above a plane that is level.
     eye = np.stack([np.sqrt(1.0 - cosine**2), np.zeros_like(cosine), cosine], axis=-1)
     points = np.ascontiguousarray(np.broadcast_to(-eye, shown.shape))
-    color, there, below = shown.copy(), np.ones(shown.shape[:2], bool), np.array([0.0, 0.0, -1e12])
-    _mirror(color, there, points, np.zeros(3), below, *sky_colors(scene), MEAN_SQUARE_SLOPE, None, None, None)
-    return int(np.abs(srgb_encoded(color).astype(int) - srgb_encoded(shown)).max())
+    there, below, most = np.ones(shown.shape[:2], bool), np.array([0.0, 0.0, -1e12]), 0
+    # The sky's colour goes one way from below the sun to the opposite side.
+    for to_sun in (np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])):
+        color = shown.copy()
+        _mirror(color, there, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_SLOPE, to_sun, None, None)
+        most = max(most, int(np.abs(srgb_encoded(color).astype(int) - srgb_encoded(shown)).max()))
+    return most
 
 
 def _lamplight(scene: Scene) -> np.ndarray:
@@ -246,12 +240,12 @@ def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
     """Put the mirrored sky, and the sun's glint where it can be seen, over the water's own colour."""
     buffer, scene, view = block.buffer, block.scene, block.view
     eye = None if isinstance(view, MapView) else view.in_frame(buffer.frame)[0]
-    to_sun = sun = visibility = None
-    if glints(scene, view) and scene.sun is not None and SUN in block.visibilities:
-        to_sun = scene.sun.in_frame(buffer.frame)
+    to_sun = np.zeros(3) if scene.sun is None else scene.sun.in_frame(buffer.frame)
+    sun = visibility = None
+    if glints(scene, view) and SUN in block.visibilities:
         sun, visibility = daylight_of(scene).sun, block.visibilities[SUN]
     _mirror(
-        color, water_in(buffer, scene), buffer.position_frame_m, eye, scene.world.up_from(buffer.frame), *sky_colors(scene),
+        color, water_in(buffer, scene), buffer.position_frame_m, eye, scene.world.up_from(buffer.frame), sky_of(scene),
         MEAN_SQUARE_SLOPE, to_sun, sun, visibility,
     )  # fmt: skip
 
@@ -268,12 +262,12 @@ def _seen_facets(cosine, square):
 
 @compiled
 def _sky_in(cosine, square):
-    """Of the sky in water under a zenith angle: its Fresnel share, how far its colour is the zenith's, and the facets' area."""
+    """Of the sky in water under a zenith angle: its Fresnel share, the sine of the altitude that it is seen at, and the facets' area."""
     area, slope = _seen_facets(cosine, square)
     deviation = np.sqrt(0.5 * square)
     grazing = (1.0 - cosine) ** (5.0 * np.exp(-2.69 * deviation)) / (1.0 + 22.7 * deviation**1.5)
     across = slope * np.sqrt(1.0 - cosine * cosine) + cosine
-    return NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * grazing, zenith_share(2.0 * across / (1.0 + slope * slope) - cosine), area
+    return NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * grazing, 2.0 * across / (1.0 + slope * slope) - cosine, area
 
 
 @compiled
@@ -308,9 +302,14 @@ def _largest_glint(to_eye, up, to_sun, square):
 
 
 @compiled
-def _mirror(color, water, position, eye, centre, horizon, zenith, square, to_sun, sun, visibility):
-    # What is None is decided when this is compiled: an eye straight above, infinitely far; no glint.
-    fresnel, share, area = _sky_in(1.0, square)
+def _mirror(color, water, position, eye, centre, sky, square, to_sun, sun, visibility):
+    # What is None is decided when this is compiled: an eye straight above, infinitely far; no glint. The light round the sun is the
+    # glint's: of the sky itself waves show what lies behind it.
+    below_sun, opposite, zenith, glow, _, fall, altitude = sky
+    plain = (below_sun, opposite, zenith, glow, 0.0, fall, altitude)
+    fresnel, sine, area = _sky_in(1.0, square)
+    mirrored, along = np.empty(3), 0.0
+    sky_color(plain, sine, along, mirrored)
     for i in range(water.shape[0]):
         for j in range(water.shape[1]):
             if not water[i, j]:
@@ -326,17 +325,21 @@ def _mirror(color, water, position, eye, centre, horizon, zenith, square, to_sun
                 length = np.sqrt(vx * vx + vy * vy + vz * vz)
                 vx, vy, vz = vx / length, vy / length, vz / length
                 cosine = min(max(vx * ux + vy * uy + vz * uz, 0.0), 1.0)
-                fresnel, share, area = _sky_in(cosine, square)
+                fresnel, sine, area = _sky_in(cosine, square)
+                sun_up = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
+                eye_sun = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
+                level = np.sqrt(max((1.0 - sun_up * sun_up) * (1.0 - cosine * cosine), 1e-12))
+                along = min(max((sun_up * cosine - eye_sun) / level, -1.0), 1.0)
+                sky_color(plain, sine, along, mirrored)
             glint = 0.0
-            if to_sun is not None:
+            if sun is not None:
                 if visibility[i, j] > 0.0:
                     sun_up = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz
                     eye_sun = to_sun[0] * vx + to_sun[1] * vy + to_sun[2] * vz
                     glint = visibility[i, j] * _glint(cosine, sun_up, eye_sun, area, square)
             for k in range(3):
-                mirrored = (1.0 - share) * horizon[k] + share * zenith[k]
-                shown = (1.0 - fresnel) * color[i, j, k] + fresnel * mirrored
-                if to_sun is not None:
+                shown = (1.0 - fresnel) * color[i, j, k] + fresnel * mirrored[k]
+                if sun is not None:
                     if glint > 0.0:
                         white = max(sun[k] / max(sun[0], sun[1], sun[2]), shown)
                         # A little adds up, and a path that is fifty times brighter than the land keeps its form.

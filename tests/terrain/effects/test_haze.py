@@ -17,12 +17,15 @@ from terrain.describe import describe
 from terrain.effects.effect import ShadingBlock
 from terrain.effects.haze import (
     BIN,
+    CLEAR_AIR_M,
     EFFECT,
+    RAYLEIGH_PER_M,
     _farthest,
     _hiding_share,
     _showing_share,
     apply_haze,
     extinction,
+    extinctions,
     hides_beyond_m,
 )  # fmt: skip
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -30,7 +33,8 @@ from terrain.gbuffer.resolve import MESHES
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
-from terrain.shading import shade, sky_colors, srgb_encoded
+from terrain.shading import shade, srgb_encoded
+from terrain.sky import horizon_colors, sky_color, sky_of
 
 EAST = np.array([1.0, 0.0, 0.0])
 UP = np.array([0.0, 0.0, 1.0])
@@ -75,6 +79,13 @@ def hazed(scene: Scene, color: np.ndarray, away_m: np.ndarray) -> np.ndarray:
     return out[0]
 
 
+def horizon_in_east(scene: Scene) -> np.ndarray:
+    """The horizon's colour (3,) where ``points`` lie."""
+    out = np.empty(3)
+    sky_color(sky_of(scene), 0.0, np.sin(np.radians(scene.sun.azimuth_deg)), out)
+    return out
+
+
 def picture(scene: Scene, haze: str, name: str = "v") -> tuple[np.ndarray, tuple[str, ...]]:
     """The picture of a view with haze ``on``, ``off`` or as the plan says; and the passes that ran."""
     level = scene.loaded.level.model_copy(update={"effects": "auto" if haze == "auto" else {"haze": haze}})
@@ -89,17 +100,27 @@ def verdict(scene: Scene, name: str = "v"):
 
 def test_contrast_at_the_visibility_is_two_percent(floor):
     scene = floor(weather={"visibility": 500})
-    horizon, _ = sky_colors(scene)
     black = hazed(scene, np.zeros((3, 3)), np.array([0.0, 250.0, 500.0]))
-    contrast = 1.0 - black / horizon
-    assert contrast == pytest.approx(np.array([1.0, 0.02**0.5, 0.02])[:, None] * np.ones(3), rel=1e-5)
+    contrast = 1.0 - black / horizon_in_east(scene)
+    assert contrast[:, 1] == pytest.approx(np.array([1.0, 0.02**0.5, 0.02]), rel=1e-5)
     assert extinction(500.0) == pytest.approx(3.912 / 500.0, rel=1e-4)
+
+
+def test_air_alone_takes_blue_first_and_mist_is_grey():
+    """As far as air alone lets one see, extinction is Rayleigh's; dust and drops on top of it take as much of every colour."""
+    air = np.array(RAYLEIGH_PER_M)
+    alone = extinctions(3.912023 / air[1])
+    assert alone == pytest.approx(air, rel=1e-6)
+    assert extinctions(2.0 * 3.912023 / air[1]) == pytest.approx(air / 2.0, rel=1e-6)
+    hazy = extinctions(10_000.0)
+    assert hazy[1] == pytest.approx(extinction(10_000.0))
+    assert hazy - hazy[1] == pytest.approx(air - air[1], rel=1e-6)
 
 
 def test_far_ground_goes_over_into_the_skys_foot(floor):
     scene = floor(weather={"visibility": 100})
     far = hazed(scene, np.array([[0.9, 0.1, 0.0]]), np.array([5000.0]))
-    assert far[0] == pytest.approx(sky_colors(scene)[0], abs=1e-6)
+    assert far[0] == pytest.approx(horizon_in_east(scene), abs=1e-6)
 
 
 def test_sky_and_what_is_not_there_stay_as_they_are(floor):
@@ -111,19 +132,24 @@ def test_sky_and_what_is_not_there_stay_as_they_are(floor):
     assert (color[0, 1] == 0.125).all() and (color[0, 0] != 0.125).all()
 
 
-def test_maps_clear_air_and_the_sky_alone_have_no_haze(floor):
+def test_maps_what_is_near_and_the_sky_alone_have_no_haze(floor):
     hazy = floor(weather={"visibility": 100})
     assert "no viewing distance" in verdict(hazy, "map").reason and not verdict(hazy, "map").called_for
-    clear = floor()
-    assert "clear" in verdict(clear).reason and not verdict(clear).called_for
+    near = floor(eye=(0.0, 0.0, 3.0), target=(0.0, 0.5, 0.0))
+    assert "100.0 km of visibility haze shows from" in verdict(near).reason and not verdict(near).called_for
     heaven = floor(target=(0.0, 0.0, 400.0), weather={"visibility": 100})
     assert "farther than 0.0 m" in verdict(heaven).reason and not verdict(heaven).called_for
 
 
-@pytest.mark.parametrize("name", ["map", "v"])
-def test_forced_on_without_distance_or_visibility_changes_nothing(floor, name):
-    scene = floor() if name == "v" else floor(weather={"visibility": 100})
-    assert (picture(scene, "on", name)[0] == picture(scene, "off", name)[0]).all()
+def test_forced_on_without_distance_changes_nothing(floor):
+    scene = floor(weather={"visibility": 100})
+    assert (picture(scene, "on", "map")[0] == picture(scene, "off", "map")[0]).all()
+
+
+def test_where_a_level_sets_none_the_air_is_clear(floor):
+    color = np.full((1, 3), 0.1)
+    unset, said = (hazed(floor(**keys), color, np.array([9000.0])) for keys in ({}, {"weather": {"visibility": CLEAR_AIR_M}}))
+    assert (unset == said).all() and (unset > color).all() and unset[0, 2] > unset[0, 1] > unset[0, 0]
 
 
 def test_the_encoders_bins():
@@ -134,7 +160,7 @@ def test_the_encoders_bins():
 
 @given(st.floats(0.0, 1.0), st.floats(0.012, 0.92))
 def test_what_shows_nowhere_moves_no_colour_by_two(color, horizon):
-    share = _showing_share((horizon,) * 3)
+    share = _showing_share((horizon,), (horizon,))
     near = np.linspace(max(color - 2 * BIN, 0.0), min(color + 2 * BIN, 1.0), 400)
     moved = near + share * (horizon - near)
     assert np.abs(srgb_encoded(moved).astype(int) - srgb_encoded(near)).max() <= 1
@@ -142,7 +168,7 @@ def test_what_shows_nowhere_moves_no_colour_by_two(color, horizon):
 
 @pytest.mark.parametrize("horizon", [0.0144, 0.1, 0.5, 0.92])
 def test_a_tenth_more_than_what_shows_nowhere_shows(horizon):
-    share = 1.1 * _showing_share((horizon,) * 3)
+    share = 1.1 * _showing_share((horizon,), (horizon,))
     color = np.linspace(0.0, 1.0, 200_000)
     moved = color + share * (horizon - color)
     assert np.abs(srgb_encoded(moved).astype(int) - srgb_encoded(color)).max() == 2
@@ -187,15 +213,24 @@ def test_beyond_its_distance_haze_hides_what_the_sun_does_and_before_it_does_not
     assert difference_of_sunlight(scene, 0.8 * beyond_m).max() > 1
 
 
-def test_without_haze_nothing_is_hidden_and_at_night_all_is(floor):
-    assert hides_beyond_m(floor()) == np.inf
+def test_clear_air_hides_little_and_at_night_all_is_hidden(floor):
+    assert 1.0 * CLEAR_AIR_M < hides_beyond_m(floor()) < 3.0 * CLEAR_AIR_M
     assert hides_beyond_m(floor(weather={"visibility": 100}, sun={"azimuth": 0, "altitude": -20})) == 0.0
     assert hides_beyond_m(floor(weather={"visibility": 100}, sun="none")) == 0.0
 
 
 def test_visibility_scales_what_is_hidden(floor):
-    one, ten = (hides_beyond_m(floor(weather={"visibility": v})) for v in (1000, 10_000))
-    assert ten == pytest.approx(10.0 * one)
+    """In proportion in mist, of which air is no part to speak of."""
+    one, two = (hides_beyond_m(floor(weather={"visibility": v})) for v in (20, 40))
+    assert two == pytest.approx(2.0 * one, rel=1e-3)
+
+
+def test_the_horizon_that_the_predicate_goes_by_holds_every_direction(floor):
+    scene, out = floor(sun={"azimuth": 130, "altitude": 3}), np.empty(3)
+    some = horizon_colors(scene)
+    for azimuth in np.linspace(0.0, np.pi, 1001):
+        sky_color(sky_of(scene), 0.0, np.cos(azimuth), out)
+        assert (out >= some.min(axis=0) - 2e-4).all() and (out <= some.max(axis=0) + 2e-4).all()
 
 
 @pytest.mark.long

@@ -19,6 +19,7 @@ from terrain.gbuffer.picture import geometry_of
 from terrain.ground.elevation import Elevation
 from terrain.level.parts import SunSpec
 from terrain.shading import WATER_ALBEDO, albedo_of, water_in
+from terrain.sky import Sky
 
 UTM = "EPSG:32633"
 LEVEL_M = 100.0
@@ -170,11 +171,12 @@ def test_glint_over_all_directions_carries_the_fresnel_share_of_the_suns_light(a
 
 def test_straight_down_water_keeps_all_but_a_fiftieth_of_its_colour():
     color = np.full((1, 1, 3), 0.4, np.float32)
-    sky = np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.6, 0.7])
+    foot, zenith = np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.6, 0.7])
+    sky = Sky(foot, foot, zenith, np.ones(3), 1.0, np.full(3, 4.0), np.array([0.5, 0.5]))
     there, centre = np.ones((1, 1), bool), np.array([0.0, 0.0, -1e12])
-    water._mirror(color, there, np.zeros((1, 1, 3)), None, centre, *sky, water.MEAN_SQUARE_SLOPE, None, None, None)
+    water._mirror(color, there, np.zeros((1, 1, 3)), None, centre, sky, water.MEAN_SQUARE_SLOPE, np.zeros(3), None, None)
     share = 1.0 - np.exp(-4.0)
-    np.testing.assert_allclose(color[0, 0], 0.98 * 0.4 + 0.02 * ((1.0 - share) * sky[0] + share * sky[1]), atol=1e-6)
+    np.testing.assert_allclose(color[0, 0], 0.98 * 0.4 + 0.02 * ((1.0 - share) * foot + share * zenith), atol=1e-6)
 
 
 def test_the_glint_lies_under_the_sun_and_fades_to_both_sides():

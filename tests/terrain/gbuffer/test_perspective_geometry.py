@@ -18,7 +18,8 @@ from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
 from terrain.gbuffer.resolve import MESHES, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
-from terrain.shading import SKY_HORIZON, SKY_ZENITH, srgb_encoded
+from terrain.shading import srgb_encoded
+from terrain.sky import SKY_HORIZON, SKY_ZENITH
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 

@@ -1,0 +1,183 @@
+"""The sky behind a perspective view, and the light of air without an end that haze and water take from it.
+
+By day the colour goes from the horizon's to the zenith's with the sine of the altitude. What a low sun adds follows its light's way
+through the air:
+
+- its colour is what the optical mass of that way (F. Kasten and A. T. Young 1989, "Revised optical air mass tables and
+  approximation formula", Applied Optics 28(22)) leaves of white: Rayleigh's scattering takes blue first (depths of a clear
+  atmosphere as in E. Bruneton and F. Neyret 2008, "Precomputed atmospheric scattering", and a little aerosol);
+- the foot of the sky is lit by that light, most below the sun and a little opposite to it; light that was scattered more than once
+  makes it paler, so that only a share of the depth counts;
+- towards the zenith red goes first, as thinner air has less to scatter: orange, yellow, a pale green, blue;
+- round the sun air and dust scatter forwards (L. G. Henyey and J. L. Greenstein 1941): a wide lobe and a narrow one.
+
+**No bands.** A sky's 8-bit steps are some pixels wide and would show as bands. Each pixel is moved by up to half a step before it is
+encoded, by interleaved gradient noise (J. Jimenez 2014, "Next generation post processing in Call of Duty: Advanced Warfare"). It goes
+by the pixel's place on the camera's image plane alone: a picture is the same every time, and so is every part of one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.geo.camera import PerspectiveView
+from terrain.scene import Scene
+from terrain.shading import dusk_of
+
+SKY_ZENITH, SKY_HORIZON = (0.20, 0.36, 0.66), (0.72, 0.82, 0.92)
+"""Linear colours of the day's sky behind a perspective view."""
+
+CLOUDY_SKY = (0.60, 0.64, 0.68)
+"""Linear colour of a sky that clouds cover."""
+
+AIR_DEPTH = (0.105, 0.180, 0.325)
+"""Optical depth of the air overhead for red, green and blue light: Rayleigh's scattering, ozone, 0.05 of aerosol."""
+
+SCATTERED_ONCE = 0.45
+"""Share of that depth that colours the foot of the sky; the rest is made up for by light that was scattered more than once."""
+
+MOST_AIR_MASS = 22.0
+"""Optical mass of the air of a way that still counts: what comes through more (a sun below 1.5 degrees) is lit from above, too."""
+
+LOW_SUN_DEG = (2.0, 16.0)
+"""Altitudes of the sun up to which the foot of the sky has its light's colour, and from which on it has none of it."""
+
+OPPOSITE = 0.22
+"""Of that colour, the share that is seen opposite to the sun."""
+
+DAY_FALL, LOW_FALL = (4.0, 4.0, 4.0), (7.5, 5.2, 4.2)
+"""How fast the horizon's colour goes over into the zenith's, per sine of the altitude, under a high sun and under a low one."""
+
+DEEP_ZENITH = 0.25
+"""By how much the zenith is darker under a low sun, as a share."""
+
+LOBES = ((0.72, 0.40), (0.965, 0.55))
+"""Asymmetry of the lobes of light round the sun, and the share of the sun's colour in the middle of each."""
+
+TWILIGHT_DEG = 9.0
+"""How far below the horizon the sun still colours the foot of the sky."""
+
+HORIZON_AZIMUTHS = 129
+"""Directions along the horizon in which its colour is looked at, from the sun's to the opposite one; closest near the sun."""
+
+
+class Sky(NamedTuple):
+    """A sky's linear colours (3,): at the horizon below the sun and opposite to it, at the zenith, and of the light round the sun, of
+    which there is the share ``aureole``; ``fall`` (3,) per sine of the altitude; ``sun`` (2,): sine and cosine of its altitude.
+    """
+
+    below_sun: np.ndarray
+    opposite: np.ndarray
+    zenith: np.ndarray
+    glow: np.ndarray
+    aureole: float
+    fall: np.ndarray
+    sun: np.ndarray
+
+
+def sky_of(scene: Scene) -> Sky:
+    """The sky of a scene, by the sun's altitude and the clouds; dark by night."""
+    altitude_deg = -90.0 if scene.sun is None else scene.sun.altitude_deg
+    sine = np.sin(np.radians(altitude_deg))
+    light, cover = 0.02 + 0.98 * float(dusk_of(sine)), scene.loaded.level.weather.cloud_cover
+    low = _smooth((LOW_SUN_DEG[1] - altitude_deg) / (LOW_SUN_DEG[1] - LOW_SUN_DEG[0]))
+    low *= _smooth(1.0 + min(altitude_deg, 0.0) / TWILIGHT_DEG)
+    grey, horizon = np.array(CLOUDY_SKY), np.array(SKY_HORIZON)
+    reddened = _sunlight_color(altitude_deg)
+    lit = reddened / reddened.max()
+
+    def foot(share: float) -> np.ndarray:
+        return ((1.0 - cover) * (horizon + (lit - horizon) * low * share) + cover * grey) * light
+
+    zenith = ((1.0 - cover) * np.array(SKY_ZENITH) * (1.0 - DEEP_ZENITH * low) + cover * grey) * light
+    aureole = (1.0 - cover) * _smooth(1.0 + min(altitude_deg, 0.0) / TWILIGHT_DEG)
+    fall = np.array(DAY_FALL) + (np.array(LOW_FALL) - np.array(DAY_FALL)) * low
+    sun = np.array([sine, np.sqrt(max(1.0 - sine * sine, 0.0))])
+    return Sky(foot(1.0), foot(OPPOSITE), zenith, np.sqrt(lit) * light, aureole, fall, sun)
+
+
+def horizon_colors(scene: Scene) -> np.ndarray:
+    """Linear display colours (n, 3) of the horizon, from below the sun to the opposite side: any of it lies between two of them."""
+    sky, out = sky_of(scene), np.empty((HORIZON_AZIMUTHS, 3))
+    for n, azimuth in enumerate(np.pi * np.linspace(0.0, 1.0, HORIZON_AZIMUTHS) ** 2):
+        sky_color(sky, 0.0, np.cos(azimuth), out[n])
+    return out
+
+
+def sunward(to_sun: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """The level direction (3,) below the sun, unit length; 0 where it stands overhead, or there is none."""
+    level = to_sun - (to_sun @ up) * up
+    length = float(np.linalg.norm(level))
+    return level / length if length > 1e-9 else np.zeros(3)
+
+
+def sky(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+    """Linear display colour (n, 3) of the sky in some pixels of a view, moved by up to half an 8-bit step against bands."""
+    up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
+    level = np.zeros(3) if scene.sun is None else sunward(scene.sun.to_sun_earth, up)
+    pixels = np.array([view.col0, view.row0, view.step])
+    axes = view.earth_from_camera.T
+    return _sky(rows, cols, pixels, view.focal_px, axes @ up, axes @ level, sky_of(scene))
+
+
+@compiled
+def sky_color(sky, sine, along, out):
+    """The colour of a direction: the sine of its altitude, and the cosine of the azimuth between it and the sun."""
+    below_sun, opposite, zenith, glow, aureole, fall, sun = sky
+    sine = max(sine, 0.0)
+    facing = 0.5 + 0.5 * along
+    facing *= facing
+    light = 0.0
+    if aureole > 0.0:
+        between = sine * sun[0] + np.sqrt(max(1.0 - sine * sine, 0.0)) * sun[1] * along
+        for asymmetry, most in LOBES:
+            ahead = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * between)
+            light += most * ahead * np.sqrt(ahead)
+        light *= aureole
+    for k in range(3):
+        foot = opposite[k] + (below_sun[k] - opposite[k]) * facing
+        share = 1.0 - np.exp(-fall[k] * sine)
+        color = (1.0 - share) * foot + share * zenith[k]
+        out[k] = color + (glow[k] - color) * light
+
+
+@compiled
+def gradient_noise(x, y):
+    """Noise in [-0.5, 0.5) at the place of a pixel (J. Jimenez 2014)."""
+    inner = 0.06711056 * x + 0.00583715 * y
+    outer = 52.9829189 * (inner - np.floor(inner))
+    return outer - np.floor(outer) - 0.5
+
+
+@compiled
+def _sky(rows, cols, pixels, focal, up, level, sky):
+    out = np.empty((rows.size, 3), np.float32)
+    color = np.empty(3)
+    for n in range(rows.size):
+        px, py = pixels[0] + cols[n] * pixels[2], pixels[1] + rows[n] * pixels[2]
+        x, y = px / focal, py / focal
+        length = np.sqrt(1.0 + x * x + y * y)
+        sine = (x * up[0] + y * up[1] + up[2]) / length
+        across = np.sqrt(max(1.0 - sine * sine, 1e-12))
+        along = min(max((x * level[0] + y * level[1] + level[2]) / (length * across), -1.0), 1.0)
+        sky_color(sky, sine, along, color)
+        for k in range(3):
+            # sRGB is about the root of linear light: a step of 255 is twice that root over 255.
+            moved = color[k] + gradient_noise(px + 37.0 * k, py + 17.0 * k) * 2.1 / 255.0 * np.sqrt(color[k])
+            out[n, k] = min(max(moved, 0.0), 1.0)
+    return out
+
+
+def _sunlight_color(altitude_deg: float) -> np.ndarray:
+    """What the air leaves of white sunlight (3,), as far as it colours the sky's foot."""
+    altitude = max(altitude_deg, 0.0)
+    mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
+    return np.exp(-SCATTERED_ONCE * min(mass, MOST_AIR_MASS) * np.array(AIR_DEPTH))
+
+
+def _smooth(share: float) -> float:
+    share = min(max(share, 0.0), 1.0)
+    return share * share * (3.0 - 2.0 * share)

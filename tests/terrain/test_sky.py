@@ -1,0 +1,128 @@
+"""The sky's colours by the sun's altitude and azimuth, and the noise that keeps them from showing as bands."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from terrain.geo.camera import PerspectiveView, look_at
+from terrain.shading import srgb_encoded
+from terrain.srgb import srgb_of_linear
+from terrain.sky import SKY_HORIZON, SKY_ZENITH, gradient_noise, horizon_colors, sky, sky_color, sky_of, sunward
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def scene_of(altitude_deg: float | None, cloud_cover: float = 0.0):
+    """As much of a scene as the sky goes by, in a flat world with the sun in the east."""
+    sun = None
+    if altitude_deg is not None:
+        altitude = np.radians(altitude_deg)
+        sun = SimpleNamespace(altitude_deg=altitude_deg, to_sun_earth=np.array([np.cos(altitude), 0.0, np.sin(altitude)]))
+    level = SimpleNamespace(weather=SimpleNamespace(cloud_cover=cloud_cover))
+    return SimpleNamespace(sun=sun, loaded=SimpleNamespace(level=level), world=SimpleNamespace(flat=True))
+
+
+def color_at(scene, altitude_deg: float, azimuth_deg: float) -> np.ndarray:
+    out = np.empty(3)
+    sky_color(sky_of(scene), np.sin(np.radians(altitude_deg)), np.cos(np.radians(azimuth_deg)), out)
+    return out
+
+
+def camera(rows: int = 120, cols: int = 160) -> PerspectiveView:
+    """A view of nothing but sky, towards the north."""
+    return look_at(np.zeros(3), np.array([0.0, 1.0, 0.6]), UP, 30.0, rows, cols)
+
+
+def picture(scene, view: PerspectiveView) -> np.ndarray:
+    """What a view (rows, cols, 3) shows of a sky."""
+    row, col = (axis.ravel() for axis in np.mgrid[0 : view.rows, 0 : view.cols])
+    return sky(scene, view, row, col).reshape(view.rows, view.cols, 3)
+
+
+def test_far_from_a_high_sun_the_sky_is_the_days():
+    assert color_at(scene_of(60.0), 0.0, 180.0) == pytest.approx(SKY_HORIZON, abs=0.01)
+    assert color_at(scene_of(30.0), 90.0, 0.0) == pytest.approx(SKY_ZENITH, abs=0.04)
+
+
+@pytest.mark.parametrize("altitude_deg", [0.0, 2.0, 5.0])
+def test_below_a_low_sun_the_horizon_is_warm_and_opposite_it_is_not(altitude_deg):
+    below, opposite = (color_at(scene_of(altitude_deg), 0.0, azimuth) for azimuth in (0.0, 180.0))
+    assert below[0] > 1.2 * below[1] > 1.4 * below[2]
+    assert opposite[2] > 0.75 * opposite[0] and below[0] / below[2] > 2.0 * opposite[0] / opposite[2]
+
+
+def test_the_lower_the_sun_the_redder_the_horizon_below_it():
+    redness = [np.divide(*color_at(scene_of(altitude), 0.0, 0.0)[[0, 2]]) for altitude in (40.0, 15.0, 10.0, 6.0, 3.0, 1.5)]
+    assert (np.diff(redness) > 0).all()
+
+
+def test_above_a_low_sun_red_goes_before_green_and_green_before_blue():
+    low, high = (color_at(scene_of(3.0), altitude, 60.0) for altitude in (0.0, 20.0))
+    kept = high / low
+    assert kept[0] < kept[1] < kept[2]
+
+
+def test_nothing_is_brighter_than_white_and_night_is_dark():
+    for altitude in (-30.0, -6.0, -1.0, 0.0, 4.0, 12.0, 45.0, 90.0):
+        colors = [color_at(scene_of(altitude), up, azimuth) for up in (0.0, 2.0, 10.0, 45.0, 90.0) for azimuth in range(0, 181, 15)]
+        assert np.min(colors) >= 0.0 and np.max(colors) <= 1.0
+    assert horizon_colors(scene_of(-30.0)).max() < 0.02 and horizon_colors(scene_of(None)).max() < 0.02
+
+
+def test_a_covered_sky_has_no_sun_in_it():
+    colors = np.array([color_at(scene_of(4.0, 1.0), 4.0, azimuth) for azimuth in range(0, 181, 15)])
+    assert np.ptp(colors, axis=0).max() < 1e-9
+
+
+def test_the_sky_is_brightest_round_the_sun():
+    away = np.array([0.0, 1.0, 3.0, 8.0, 20.0, 45.0])
+    bright = [color_at(scene_of(20.0), 20.0 + off, 0.0).sum() for off in away]
+    assert (np.diff(bright) < 0).all()
+
+
+def test_noise_is_even_and_within_half_a_step():
+    noise = np.array([[gradient_noise(x - 79.5, y - 59.5) for x in range(160)] for y in range(120)])
+    assert -0.5 <= noise.min() and noise.max() < 0.5
+    count, _ = np.histogram(noise, bins=8, range=(-0.5, 0.5))
+    assert count == pytest.approx(noise.size / 8, rel=0.03)
+
+
+@pytest.mark.parametrize("altitude_deg", [50.0, 4.0, -6.0])
+def test_there_are_no_bands(altitude_deg):
+    """Means over 8 x 8 pixels follow the sky's colour by a small part of an 8-bit step, which plain codes cannot: they are up to
+    half a step off in all of a band. Single pixels are no farther off than a step, and by night a bin of the encoder's.
+    """
+    scene, rows, cols = scene_of(altitude_deg), 120, 160
+    view = camera(rows, cols)
+    shown = srgb_encoded(picture(scene, view)).astype(float)
+    row, col = np.mgrid[0:rows, 0:cols]
+    ray = np.stack([(col + view.col0) / view.focal_px, (row + view.row0) / view.focal_px, np.ones(row.shape)], axis=-1)
+    ray = ray @ view.earth_from_camera.T
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    exact = np.empty((rows, cols, 3))
+    its_sky = sky_of(scene)
+    for i, j in zip(row.ravel(), col.ravel(), strict=True):
+        sky_color(its_sky, ray[i, j, 2], ray[i, j, 0] / np.hypot(*ray[i, j, :2]), exact[i, j])
+    codes = 255.0 * srgb_of_linear(exact)
+    assert np.abs(shown - codes).max() < 1.3
+
+    def off(picture: np.ndarray) -> float:
+        means = (picture - codes).reshape(rows // 8, 8, cols // 8, 8, 3).mean(axis=(1, 3))
+        return float(np.abs(means).max())
+
+    assert off(shown) < 0.2 and off(np.rint(codes)) > 0.3
+
+
+def test_a_part_of_a_sky_is_the_same_sky_and_so_is_the_next_picture():
+    scene = scene_of(8.0)
+    whole = picture(scene, camera())
+    np.testing.assert_array_equal(whole, picture(scene, camera()))
+    np.testing.assert_array_equal(whole[31:71, 17:100], picture(scene, camera().part(31, 17, 40, 83)))
+
+
+def test_sunward_is_level_and_of_unit_length():
+    assert sunward(np.array([0.6, 0.0, 0.8]), UP) == pytest.approx([1.0, 0.0, 0.0])
+    assert sunward(UP, UP) == pytest.approx([0.0, 0.0, 0.0])
