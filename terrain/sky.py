@@ -11,9 +11,9 @@ through the air:
 - towards the zenith red goes first, as thinner air has less to scatter: orange, yellow, a pale green, blue;
 - round the sun air and dust scatter forwards (L. G. Henyey and J. L. Greenstein 1941): a wide lobe and a narrow one.
 
-**No bands.** A sky's 8-bit steps are some pixels wide and would show as bands. Each pixel is moved by up to half a step before it is
-encoded, by interleaved gradient noise (J. Jimenez 2014, "Next generation post processing in Call of Duty: Advanced Warfare"). It goes
-by the pixel's place on the camera's image plane alone: a picture is the same every time, and so is every part of one.
+**No bands.** A sky's 8-bit steps are some pixels wide and would show as bands. Each pixel is moved by up to half a step before it
+is encoded, by interleaved gradient noise (J. Jimenez 2014, "Next generation post processing in Call of Duty: Advanced Warfare").
+It goes by the pixel's place on the camera's image plane alone: a picture is the same every time, and so is every part of one.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ HORIZON_AZIMUTHS = 129
 
 
 class Sky(NamedTuple):
-    """A sky's linear colours (3,): at the horizon below the sun and opposite to it, at the zenith, and of the light round the sun, of
-    which there is the share ``aureole``; ``fall`` (3,) per sine of the altitude; ``sun`` (2,): sine and cosine of its altitude.
+    """A sky's linear colours (3,): at the horizon below the sun and opposite to it, at the zenith, and of the light round the sun,
+    of which there is the share ``aureole``; ``fall`` (3,) per sine of the altitude; ``sun`` (2,): sine and cosine of its altitude.
     """
 
     below_sun: np.ndarray

@@ -36,7 +36,7 @@ from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact
 from terrain.gbuffer.picture import solids_in
-from terrain.gbuffer.tree_instances import tree_instances_in_perspective
+from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
@@ -120,16 +120,24 @@ def farthest_in_view_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
     not something hides it: nothing that is seen lies farther. 0 where there is nothing but sky.
     """
     frame, ground = coarse_view.buffer.frame, coarse_view.buffer.ground
-    eye, camera_from_frame, tangents, inward = _pyramid(view, frame)
+    eye, _, _, inward = _pyramid(view, frame)
     farthest = [farthest_mesh_m(scene, view, frame)]
     if ground is not None:
         farthest.append(_farthest(ground.position_frame_m, ground.triangles, eye, inward))
-    stand = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
+    stand, seen = trees_in_view(scene, view, frame)
     if stand is not None:
-        seen = stand.in_cone(eye, camera_from_frame, tangents)
         size = np.hypot(np.sqrt(2.0) * stand.shape[seen, :2].max(axis=1), stand.shape[seen, 2])
         farthest.append(np.max(np.linalg.norm(stand.base_frame_m[seen] - eye, axis=1) + size, initial=0.0))
     return float(max(farthest, default=0.0))
+
+
+def trees_in_view(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> tuple[TreeInstances | None, np.ndarray]:
+    """The trees round an eye, and indices (n,) of those that reach into the pyramid of a view's pixels; ``None`` without any."""
+    stand = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
+    if stand is None:
+        return None, np.zeros(0, np.int64)
+    eye, camera_from_frame, tangents, _ = _pyramid(view, frame)
+    return stand, stand.in_cone(eye, camera_from_frame, tangents)
 
 
 def farthest_mesh_m(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> float:
@@ -218,7 +226,9 @@ def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
     up = eye - scene.world.up_from(frame)
     up /= np.linalg.norm(up)
     level = np.zeros(3) if scene.sun is None else sunward(scene.sun.in_frame(frame), up)
-    _veil(color, block.buffer.there, block.buffer.position_frame_m, eye, extinctions(visibility_of(scene)), up, level, sky_of(scene))
+    _veil(
+        color, block.buffer.there, block.buffer.position_frame_m, eye, extinctions(visibility_of(scene)), up, level, sky_of(scene)
+    )
 
 
 @compiled

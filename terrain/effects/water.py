@@ -262,7 +262,7 @@ def _seen_facets(cosine, square):
 
 @compiled
 def _sky_in(cosine, square):
-    """Of the sky in water under a zenith angle: its Fresnel share, the sine of the altitude that it is seen at, and the facets' area."""
+    """Of the sky in water under a zenith angle: its Fresnel share, the sine of the altitude it is seen at, the facets' area."""
     area, slope = _seen_facets(cosine, square)
     deviation = np.sqrt(0.5 * square)
     grazing = (1.0 - cosine) ** (5.0 * np.exp(-2.69 * deviation)) / (1.0 + 22.7 * deviation**1.5)

@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.facts.probes import ProbeRays, Probes
-from terrain.geo.world import EARTH_RADIUS_M, World
+from terrain.geo.world import EARTH_RADIUS_M, LocalFrame, World
 from terrain.ground.elevation import Elevation
 
 SKIP_BLOCK_CELLS = 16
@@ -42,7 +42,22 @@ class OverviewProbes:
 @cached("scene", 64 * MIB)
 def overview_probes(world: World, elevation: Elevation, probes: Probes) -> OverviewProbes:
     """Probes on the overview of a raster; rows and columns are not finite where its CRS does not reach. The last are kept."""
-    x, y, height = world.map_position(elevation.crs, probes.point_earth_m)
+    return _on_overview(world, elevation, probes.frame, probes.point_earth_m)
+
+
+def hidden_by_relief(
+    world: World, elevation: Elevation, frame: LocalFrame, point_frame_m: np.ndarray, to_light: np.ndarray
+) -> np.ndarray:
+    """Whether ground of the level's overview hides a light in a direction (3,) without end from points (n, 3): bool (n,)."""
+    probes = _on_overview(world, elevation, frame, frame.points_to_earth(point_frame_m))
+    rays = ProbeRays(
+        point_frame_m[None], np.broadcast_to(to_light, (1, *point_frame_m.shape)), np.full((1, len(point_frame_m)), np.inf)
+    )
+    return _hidden(world, elevation, probes, np.zeros((1, *point_frame_m.shape)), rays)[0]
+
+
+def _on_overview(world: World, elevation: Elevation, frame: LocalFrame, point_earth_m: np.ndarray) -> OverviewProbes:
+    x, y, height = world.map_position(elevation.crs, point_earth_m)
     if elevation.crs.is_geographic:  # the way round the earth that is nearer
         x = x + 360.0 * np.rint(((elevation.bounds[0] + elevation.bounds[2]) / 2 - x) / 360.0)
     factor = 2**elevation.overview.level
@@ -50,7 +65,7 @@ def overview_probes(world: World, elevation: Elevation, probes: Probes) -> Overv
     half = 0.5 * factor * np.array([[[0.0], [1.0], [0.0]], [[0.0], [0.0], [1.0]]])
     point, up = world.ground(elevation.crs, *elevation.xy(row + half[0], col + half[1]))
     row, col = ((v + 0.5) / factor - 0.5 for v in (row, col))
-    to_frame = probes.frame.directions_from_earth
+    to_frame = frame.directions_from_earth
     south, east = to_frame(2.0 * (point[1] - point[0])), to_frame(2.0 * (point[2] - point[0]))
     return OverviewProbes(row, col, height, to_frame(up[0]), *_inverse(south, east))
 
@@ -64,8 +79,12 @@ def _inverse(south: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def blocked_by_relief(world: World, elevation: Elevation, at: OverviewProbes, probes: Probes, rays: ProbeRays) -> np.ndarray:
     """Which rays (1 + k, n) meet ground of the level before the light, bool; ``at`` is where their probes lie."""
+    return _hidden(world, elevation, at, rays.start_frame_m - probes.point_frame_m, rays)
+
+
+def _hidden(world: World, elevation: Elevation, at: OverviewProbes, beside: np.ndarray, rays: ProbeRays) -> np.ndarray:
+    """Which rays (k, n) that start ``beside`` (k, n, 3) probes meet ground."""
     heights, tops = _grid(elevation)
-    beside = rays.start_frame_m - probes.point_frame_m
     along = rays.direction_frame
 
     def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -19,6 +19,12 @@ from terrain.gbuffer.tree_instances import tree_corner
 THREADS = min(os.cpu_count() or 1, 8)
 """Threads that share the pixels of a perspective view."""
 
+CROWN_MIDDLE, CROWN_HALF = 0.55, 0.47
+"""Height of a crown's middle, and half the crown's height, as shares of a tree's."""
+
+CROWN_LEAN = 0.25
+"""How much a crown's normals lean upwards."""
+
 NO_SURFACE, RELIEF, MESHES, FOREST = 0, 1, 2, 3
 """What a pixel shows."""
 
@@ -219,7 +225,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                         shading[i, j, k] = -shading[i, j, k]
             else:
                 tree = (t - ground - solid) // 6
-                _tree_look(point[i, j], tree_base[tree], tree_shape[tree], albedo_root[i, j], shading[i, j], albedo[i, j])
+                _tree_look(point[i, j], ray, tree_base[tree], tree_shape[tree], albedo_root[i, j], shading[i, j], albedo[i, j])
                 level[i, j] = tree_height[tree] + point[i, j, 2] - tree_base[tree, 2]
             _unit(shading[i, j])
 
@@ -236,6 +242,7 @@ def resolve_map(number, solids, trees, albedo_root, points):
     rows, cols = number.shape
     solid = len(solid_triangles)
     p, q = np.empty((3, 3)), np.empty((3, 3))
+    down = np.array([0.0, 0.0, -1.0])
     for i in range(rows):
         for j in range(cols):
             t = np.int64(number[i, j]) - 1
@@ -279,7 +286,7 @@ def resolve_map(number, solids, trees, albedo_root, points):
                         shading[i, j, k] = -shading[i, j, k]
             else:
                 kind[i, j] = FOREST
-                _tree_look(point[i, j], tree_base[tree], tree_shape[tree], albedo_root[i, j], shading[i, j], albedo[i, j])
+                _tree_look(point[i, j], down, tree_base[tree], tree_shape[tree], albedo_root[i, j], shading[i, j], albedo[i, j])
             _unit(shading[i, j])
 
 
@@ -339,11 +346,23 @@ def _face(p, out):
 
 
 @compiled
-def _tree_look(point, base, shape, root, shading, albedo):
-    """A rounded crown's normal: away from the stem and upwards; and the leaf's colour."""
-    for k in range(2):
-        shading[k] = point[k] - base[k]
-    shading[2] = 0.5 * shape[2] * (0.35 + (point[2] - base[2]) / max(shape[2], np.float32(1e-3)))
+def _tree_look(point, ray, base, shape, root, shading, albedo):
+    """A rounded crown's normal, and the leaf's colour.
+
+    The normal is that of the ellipsoid of the crown where the ray to the point meets it, or comes nearest to it: the same on
+    whichever of the crossed quads the point lies, so that these do not show. It leans upwards a little, as leaves do.
+    """
+    wide, high = max(np.float64(shape[0]), 1e-3), max(CROWN_HALF * shape[2], 1e-3)
+    qx, qy, qz = (point[0] - base[0]) / wide, (point[1] - base[1]) / wide, (point[2] - base[2] - CROWN_MIDDLE * shape[2]) / high
+    dx, dy, dz = ray[0] / wide, ray[1] / wide, ray[2] / high
+    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+    dx, dy, dz = dx / length, dy / length, dz / length
+    along = qx * dx + qy * dy + qz * dz
+    qx, qy, qz = qx - along * dx, qy - along * dy, qz - along * dz
+    inside = np.sqrt(max(1.0 - (qx * qx + qy * qy + qz * qz), 0.0))
+    x, y, z = (qx - inside * dx) / wide, (qy - inside * dy) / wide, (qz - inside * dz) / high
+    length = np.sqrt(x * x + y * y + z * z)
+    shading[0], shading[1], shading[2] = x / length, y / length, z / length + CROWN_LEAN
     for k in range(3):
         albedo[k] = (root[k] / 255.0) ** 2
 

@@ -43,7 +43,7 @@ from terrain.level.setting import Requests
 
 EffectName = Literal[
     "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters",
-    "snow", "clouds", "sky_view", "lamps", "water", "haze",
+    "ground_detail", "snow", "crowns", "clouds", "sky_view", "lamps", "water", "haze",
 ]  # fmt: skip
 """Effects: each is the file of its name in ``terrain.effects``; those of one stage run in this order."""
 

@@ -25,6 +25,7 @@ METRES_PER_UNIT: dict[Units, float] = {"m": 1.0, "ft": 0.3048, "us-ft": 1200.0 /
 
 Species = Literal["conifer", "broadleaf", "mixed"]
 MeshGenerator = Literal["boxgrid", "rocks", "street", "room", "water_tower", "tetrahedra", "wood_hill"]
+RoofForm = Literal["auto", "flat", "pitched", "hipped"]
 GroundGenerator = Literal["ridges", "landscape"]
 GroundSurface = Literal["smooth", "blocks"]
 
@@ -207,8 +208,9 @@ class MeshSpec(Model):
     """Buildings from footprints (``height``: an attribute's name, metres for all, or a surface and a ground raster), a model
     from a file (OBJ, PLY, glTF), or a generated one.
 
-    ``at`` is where a model stands: one place or several (degrees; metres on a made ground), its lowest point on the ground.
-    ``turn`` is in degrees counter-clockwise, ``color`` an sRGB albedo in [0, 1].
+    ``roof`` is the form of the roofs over footprints that are nearly rectangles; others are flat. ``at`` is where a model
+    stands: one place or several (degrees; metres on a made ground), its lowest point on the ground. ``turn`` is in degrees
+    counter-clockwise, ``color`` an sRGB albedo in [0, 1].
     """
 
     source: FileName | None = None
@@ -216,6 +218,7 @@ class MeshSpec(Model):
     height: str | Annotated[float, Field(gt=0, le=1000)] | None = None
     surface: FileName | None = None
     ground: FileName | None = None
+    roof: RoofForm = "flat"
     at: MapPosition | list[MapPosition] | None = None
     scale: float = Field(default=1.0, gt=0, le=1e6)
     turn: float = Field(default=0.0, ge=-1e6, le=1e6)

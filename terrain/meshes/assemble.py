@@ -21,7 +21,7 @@ from terrain.meshes.solids import Solids
 MODEL_KEYS = ("at", "scale", "turn", "caster", "motion")
 """Keys of a mesh that footprints, which stand where their file says, have no use for."""
 
-FOOTPRINT_KEYS = ("height", "surface", "ground")
+FOOTPRINT_KEYS = ("height", "surface", "ground", "roof")
 """Keys of a mesh that anything but footprints has no use for."""
 
 

@@ -1,9 +1,9 @@
-"""Buildings: footprints extruded to closed blocks with flat roofs.
+"""Buildings: footprints extruded to closed blocks, with flat roofs or, on small houses, pitched ones (``terrain.meshes.roofs``).
 
-A roof lies level at the mean ground along the footprint's outline plus the building's height; heights that are measured in a
-surface raster are counted from there too, so that the roof lies where the surface does. Walls go down to
-``FOOTING_M`` below the lowest ground of the outline, so that no gap opens on a slope, and a floor closes the block.
-"Level" is along the vertical at every corner: a long building follows the earth's curvature.
+A flat roof, or the ridge, lies level at the mean ground along the footprint's outline plus the building's height; heights that
+are measured in a surface raster are counted from there too, so that the roof lies where the surface does. Walls go down to
+``FOOTING_M`` below the lowest ground of the outline, so that no gap opens on a slope, and a floor closes the block. "Level" is
+along the vertical at every corner: a long building follows the earth's curvature.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 from terrain.ground.elevation import Elevation
 from terrain.level.bundled import BUNDLED
 from terrain.level.level import LoadedLevel
-from terrain.level.parts import MeshSpec
+from terrain.level.parts import MeshSpec, RoofForm
 from terrain.meshes.body import Body, PlacedBody, srgb_albedo
+from terrain.meshes.roofs import Roof, roof_over
 
 FOOTING_M = 0.5
 """How far walls reach below the lowest ground of their outline."""
@@ -85,6 +86,7 @@ class _Blocks:
     color_key: np.ndarray
     roof_m: np.ndarray
     base_m: np.ndarray
+    height_m: np.ndarray
 
 
 def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, elevation: Elevation) -> list[PlacedBody]:
@@ -123,9 +125,10 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
         spans = [bounds_text(bounds, elevation.crs) for bounds in (shapely.total_bounds(features.geometry), elevation.bounds)]
         raise SourceError(source, f"footprints within {spans[0]}", f"footprints on the terrain: within {spans[1]}")
     blocks = _Blocks(
-        polygons[tall][standing], key[standing], (mean_m + height[tall])[standing], (lowest_m - FOOTING_M)[standing]
+        polygons[tall][standing], key[standing], (mean_m + height[tall])[standing], (lowest_m - FOOTING_M)[standing],
+        height[tall][standing],
     )  # fmt: skip
-    return _extruded(blocks, world, elevation.crs, None if spec.color is None else srgb_albedo(spec.color))
+    return _extruded(blocks, world, elevation.crs, None if spec.color is None else srgb_albedo(spec.color), spec.roof)
 
 
 def _attribute(spec: MeshSpec, where: str, source: str) -> str | None:
@@ -248,7 +251,7 @@ def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarra
     return mean, np.fmin.reduceat(ground, np.searchsorted(ring, np.arange(len(polygons))))
 
 
-def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None) -> list[PlacedBody]:
+def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None, form: RoofForm) -> list[PlacedBody]:
     rings, polygon = shapely.get_rings(blocks.polygons, return_index=True)
     xy, ring = shapely.get_coordinates(rings, return_index=True)
     kept = np.append(ring[1:] == ring[:-1], False)  # a ring's last point is its first
@@ -260,10 +263,19 @@ def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None
         last_ring = int(np.searchsorted(polygon, i, side="right"))
         ends = ring_ends[first_ring:last_ring]
         here = slice(start, int(ends[-1]))
-        roof = _roof_triangles(xy[here] - xy[start], ends - start)
-        triangles, is_roof = _block_triangles(roof, ends - start)
         origin = ground[start] + base_m * up[start]
-        vertices = np.concatenate([ground[here] + height * up[here] for height in (roof_m, base_m)]) - origin
+        sloped = roof_over(ground[here] + base_m * up[here], blocks.height_m[i], form) if last_ring - first_ring == 1 else None
+        if sloped is None:
+            roof = _roof_triangles(xy[here] - xy[start], ends - start)
+            triangles, is_roof = _block_triangles(roof, ends - start)
+            vertices = np.concatenate([ground[here] + height * up[here] for height in (roof_m, base_m)]) - origin
+        else:
+            order = start + (sloped.first + np.arange(4)) % 4
+            ridge, ridge_up = world.ground(crs, *(sloped.weights @ xy[order]).T)
+            eaves_m = roof_m - sloped.rise_m
+            corners = [ground[order] + eaves_m * up[order], ground[order] + base_m * up[order], ridge + roof_m * ridge_up]
+            triangles, is_roof = _sloped_triangles(sloped)
+            vertices = np.concatenate(corners) - origin
         wall_albedo, roof_albedo = _materials(blocks.color_key[i], crs) if albedo is None else (albedo, albedo)
         placed.append(
             PlacedBody(Body(vertices, triangles, np.where(is_roof[:, None], roof_albedo, wall_albedo)), origin, np.eye(3))
@@ -284,6 +296,14 @@ def _block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarra
     ])  # fmt: skip
     triangles = np.concatenate([roof, walls, roof[:, ::-1] + count]).astype(np.int32)
     return triangles, np.arange(len(triangles)) < len(roof)
+
+
+def _sloped_triangles(roof: Roof) -> tuple[np.ndarray, np.ndarray]:
+    """The same of a block under a roof with slopes, whose ridge are the vertices after the floor's."""
+    block, _ = _block_triangles(np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.array([4]))
+    slopes = np.where(roof.triangles >= 4, roof.triangles + 4, roof.triangles).astype(np.int32)
+    triangles = np.concatenate([slopes, block[2:]])
+    return triangles, np.arange(len(triangles)) < roof.covered
 
 
 def _roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:

@@ -223,6 +223,27 @@ def snow() -> Iterator[Case]:
         yield Case(f"skyline {up_m}", ground("plain", weather={"snow": True}), skyline(up_m))
 
 
+def ground_detail() -> Iterator[Case]:
+    middle = (0.0, 0.0, 0.0)
+    for up_m in (1.7, 30.0, 300.0, 1000.0, 2000.0, 4000.0, 8000.0, 12_000.0, 18_000.0, 30_000.0, 80_000.0):
+        yield Case(f"slope from {up_m} m", ground("slope"), eye((*PLACE, up_m), (PLACE[0], PLACE[1] + 1e-4, 0.0), 30.0))
+    for up_m in (1.7, 300.0, 20_000.0, 60_000.0):
+        yield Case(f"floor from {up_m} m", ground("floor"), eye((0.0, -1.0, up_m), middle, 30.0))
+    for up_m in (200.0, 250.0, 260.0, 270.0, 320.0):
+        yield Case(f"skyline {up_m}", ground("plain"), skyline(up_m))
+    yield Case("map", ground("hills"), window(640.0, 640.0, 20.0))
+
+
+def crowns() -> Iterator[Case]:
+    stand = [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}]
+    for altitude in (-2.0, 5.0, 20.0, 45.0):
+        for east in (0.0, 12.0, 16.0, 20.0, 40.0):
+            keys = ground("floor", 240.0, altitude, forest=stand)
+            yield Case(f"looking {east} m past a tree, sun at {altitude}", keys, eye((0, -40, 8), (east, 0, 6), 30.0, 2))
+    yield Case("map of a tree", ground("floor", 240.0, forest=stand), {**MAP, "bounds": [-20.0, -20.0, 20.0, 20.0]})
+    yield Case("no tree", ground("floor", 240.0), eye((0, -40, 8), (0, 0, 6), 30.0))
+
+
 def clouds() -> Iterator[Case]:
     for cover in (0.0, 0.001, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.97, 0.999, 1.0):
         for view_name, view, seconds in (("map", MAP, 0), ("perspective", ACROSS, 300)):
@@ -268,13 +289,15 @@ def haze() -> Iterator[Case]:
     for visibility in (1e3, 1e4, 1e5, 3e5, 6e5, 1e6, 1.5e6, 2e6, 3e6, 5e6, 1e7):
         yield Case(f"hills {visibility:g} m", ground("hills", 220.0, 20.0, weather={"visibility": visibility}), ACROSS)
     yield Case("clear", ground("hills", 220.0, 20.0), ACROSS)
+    for away_m in (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0):  # of the ground below an eye, in clear air
+        yield Case(f"clear, {away_m} m above a floor", ground("floor"), eye((0, 0, away_m), (0, 0.01, 0), 20.0))
     yield Case("map", ground("hills", 220.0, 20.0, weather={"visibility": 2000.0}), MAP)
 
 
 CASES: dict[str, Callable[[], Iterator[Case]]] = {
     "refraction": refraction, "cast_shadows": cast_shadows, "alpha_test": alpha_test, "soft_edges": soft_edges,
     "outside_casters": outside_casters, "snow": snow, "clouds": clouds, "sky_view": sky_view, "lamps": lamps, "water": water,
-    "haze": haze,
+    "haze": haze, "ground_detail": ground_detail, "crowns": crowns,
 }  # fmt: skip
 """Effect -> its cases."""
 

@@ -9,8 +9,8 @@ import pytest
 
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.shading import srgb_encoded
-from terrain.srgb import srgb_of_linear
 from terrain.sky import SKY_HORIZON, SKY_ZENITH, gradient_noise, horizon_colors, sky, sky_color, sky_of, sunward
+from terrain.srgb import srgb_of_linear
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -7,12 +7,18 @@ uniform vec2 size_px;
 uniform mat2 px_from_m;  // of a map: pixels (column, row) per metre east and north
 uniform float height_m;  // of a map: the range that heights from 0 to 1 stand for
 flat out int tree;
+flat out vec3 foot;      // from the eye
+flat out vec3 crown;     // half the width and the height of the upright quads, layer of their picture
+out vec3 above_foot;
 out vec3 at;
 
 void main() {
     vec3 offset = tree_offset();
     tree = gl_InstanceID;
     at = tree_texture();
+    above_foot = offset;
+    foot = base - eye_frame_m;
+    crown = vec3(shape.x, shape.z, 2.0 * look.z);
     if (in_map) {
         vec2 px = base.xy + px_from_m * offset.xy;
         gl_Position = vec4(2.0 * px / size_px - 1.0, base.z + offset.z / height_m, 1.0);

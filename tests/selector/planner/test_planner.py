@@ -37,7 +37,7 @@ def test_a_plan_gives_reasons_for_what_it_does_and_leaves_out(scene):
     assert plan.algorithm == {"sun": {"relief": "sweep"}} and plan.headline == "sweep" and plan.predicted is None
     assert [effect.name for effect in plan.effects] == ["refraction", "cast_shadows", "outside_casters", "sky_view"]
     assert [effect.name for effect in plan.left_out] == [
-        "alpha_test", "soft_edges", "snow", "clouds", "lamps", "water", "haze",
+        "alpha_test", "soft_edges", "ground_detail", "snow", "crowns", "clouds", "lamps", "water", "haze",
     ]  # fmt: skip
     assert "the edges of sweep are sharp" in next(item.reason for item in plan.left_out if item.name == "soft_edges")
     assert [reason.name for reason in plan.reasons] == ["sun/relief: sweep"] and "heightfield" in plan.reasons[0].reason

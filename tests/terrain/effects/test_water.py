@@ -69,7 +69,7 @@ def make_lake(write_raster, make_scene, bowl_m):
 
 def drawn(scene, name: str, water_on: bool):
     view = scene.view(name)
-    level = scene.loaded.level.model_copy(update={"effects": {"water": "on" if water_on else "off"}})
+    level = scene.loaded.level.model_copy(update={"effects": {"haze": "off", "water": "on" if water_on else "off"}})
     return render_frame(scene, view, make_plan(describe(scene, view, name), level, {})).color.astype(int)
 
 

@@ -1,0 +1,143 @@
+"""Light through crowns: on leaves that leaves hide, not on what ground or meshes hide; and normals that hide the cross."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+
+from selector.planner.planner import make_plan
+from shadows.render import render_frame
+from terrain.describe import describe
+from terrain.effects.crowns import EFFECT, THROUGH_LEAVES, apply_crowns
+from terrain.effects.effect import ShadingBlock
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.resolve import FOREST, RELIEF, _tree_look
+from terrain.geo.camera import look_at
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
+from tests.rasters import ENGINEERING, write_geotiff
+
+TREE_HEIGHT_M = 12.0
+
+
+@pytest.fixture
+def wall(tmp_path):
+    """``wall(**keys)`` is a floor with a wall of ground 60 m high in the west of it, and a tree in its middle."""
+    heights = np.zeros((64, 64), np.float32)
+    heights[:, :6] = 60.0
+    write_geotiff(tmp_path / "wall.tif", heights, ENGINEERING, -320.0, 320.0, 10.0)
+    tree = shapely.to_wkb(np.array([shapely.Point(0.0, 0.0)], object))
+    pyogrio.raw.write(tmp_path / "tree.gpkg", tree, [np.array([TREE_HEIGHT_M])], ["height"], geometry_type="Point", crs=ENGINEERING)
+
+    def make(altitude=30.0, **keys) -> Scene:
+        views = {
+            "tree": {"kind": "perspective", "eye": [9, -30, 7], "target": [0, 0, 6], "fov": 30, "size": [160, 120]},
+            "away": {"kind": "perspective", "eye": [9, -30, 7], "target": [30, -90, 6], "fov": 30, "size": [64, 48]},
+        }
+        level = {
+            "version": 1, "terrain": {"source": "wall.tif"}, "sun": {"azimuth": 270, "altitude": altitude}, "views": views,
+            "forest": [{"source": "tree.gpkg", "height": "height", "species": "broadleaf"}], **keys,
+        }  # fmt: skip
+        path = tmp_path / "level.yaml"
+        path.write_text(json.dumps(level), encoding="utf-8")
+        return build_scene(load_level(path))
+
+    return make
+
+
+def lit(scene: Scene, points: np.ndarray, seen: np.ndarray, kind: int = FOREST) -> np.ndarray:
+    """The share of sunlight (n,) on leaves at points (n, 3) of which algorithms see so much (n,)."""
+    view = look_at(np.array([0.0, -40.0, 8.0]), np.array([0.0, 0.0, 6.0]), np.array([0.0, 0.0, 1.0]), 40.0, 1, len(points))
+    frame = view.frame(scene.world)
+    ones = np.ones((1, len(points)), np.float32)
+    normal = np.broadcast_to(np.array([0.0, -1.0, 0.0], np.float32), (1, len(points), 3))
+    position = ((points - frame.origin_earth_m) @ frame.frame_from_earth.T)[None]
+    buffer = GeometryBuffer(view, frame, ones > 0, position, ones, normal, normal, 0 * ones, np.full(ones.shape, kind, np.uint8))
+    sunlight = seen[None].astype(np.float32)
+    apply_crowns(sunlight, ShadingBlock(scene, view, buffer, {}))
+    return sunlight[0]
+
+
+POINTS = np.array([[0.0, 0.0, 5.0], [3.0, 1.0, 8.0], [-4.0, 2.0, 11.0]])
+
+
+def test_light_comes_through_leaves(wall):
+    scene = wall()
+    assert lit(scene, POINTS, np.zeros(3)) == pytest.approx(THROUGH_LEAVES)
+    assert lit(scene, POINTS, np.full(3, 0.5)) == pytest.approx(0.5 + 0.5 * THROUGH_LEAVES)
+    assert (lit(scene, POINTS, np.ones(3)) == 1.0).all()
+    assert (lit(scene, POINTS, np.zeros(3), RELIEF) == 0.0).all()
+
+
+def test_no_light_comes_through_ground(wall):
+    """The wall ends 260 m west of the tree: its shadow is 60 m high there, less what the sun climbs on the way."""
+    low = wall(altitude=8.0)  # 23 m over the floor at the tree
+    assert (lit(low, POINTS, np.zeros(3)) == 0.0).all()
+    over = POINTS + [0.0, 0.0, 40.0]
+    assert lit(low, over, np.zeros(3)) == pytest.approx(THROUGH_LEAVES)
+
+
+def test_no_light_comes_through_a_house(wall, tmp_path):
+    house = shapely.to_wkb(np.array([shapely.box(-30.0, -20.0, -20.0, 20.0)], object))
+    pyogrio.raw.write(tmp_path / "house.gpkg", house, [np.array([40.0])], ["height_m"], geometry_type="Polygon", crs=ENGINEERING)
+    scene = wall(meshes=[{"source": "house.gpkg"}])
+    assert (lit(scene, POINTS, np.zeros(3)) == 0.0).all()
+    assert lit(scene, POINTS + [0.0, 0.0, 50.0], np.zeros(3)) == pytest.approx(THROUGH_LEAVES)
+
+
+def verdict(scene: Scene, name: str):
+    return EFFECT.called_for(describe(scene, scene.view(name), name))
+
+
+def test_it_is_called_for_where_sunlit_trees_are_seen(wall):
+    scene = wall()
+    assert verdict(scene, "tree").called_for and "1 tree" in verdict(scene, "tree").reason
+    assert "no tree" in verdict(scene, "away").reason and not verdict(scene, "away").called_for
+    assert "from above" in verdict(scene, "map").reason and not verdict(scene, "map").called_for
+    for dark in (wall(altitude=-8.0), wall(weather={"cloud_cover": 1.0})):
+        assert "no direct sunlight" in verdict(dark, "tree").reason and not verdict(dark, "tree").called_for
+
+
+def test_visibility_stays_and_leaves_alone_get_lighter(gl, wall):
+    scene = wall()
+    view = scene.view("tree")
+    frames = {}
+    for wish in ("on", "off"):
+        level = scene.loaded.level.model_copy(update={"effects": {"crowns": wish, "cast_shadows": "on"}})
+        frames[wish] = render_frame(scene, view, make_plan(describe(scene, view, "tree"), level, {}))
+    on, off = frames["on"], frames["off"]
+    assert "crowns" in on.effects and "crowns" not in off.effects
+    np.testing.assert_array_equal(on.visibility, off.visibility)
+    change = on.color.astype(int) - off.color
+    assert change.min() >= 0 and change.max() > 5
+    # Leaves, and what they cover of pixels at their rims.
+    assert ((change > 0).any(axis=-1)).mean() < 0.3
+
+
+def look(point: np.ndarray, eye: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """The unit normal (3,) of a crown on the foot (0, 0, 0) where a ray from an eye meets a point."""
+    shading, albedo = np.empty(3, np.float32), np.empty(3, np.float32)
+    _tree_look(point, point - eye, np.zeros(3), shape, np.zeros(3, np.uint8), shading, albedo)
+    return shading / np.linalg.norm(shading)
+
+
+def test_points_on_one_ray_have_one_normal_whichever_quad_they_lie_on():
+    shape, eye = np.array([4.0, 4.0, 12.0, 5.0], np.float32), np.array([3.0, -40.0, 8.0])
+    target = np.array([-1.5, 0.0, 7.0])
+    ray = target - eye
+    on_one = eye + ray * (-eye[1] / ray[1])  # the quad in the plane y = 0
+    on_other = eye + ray * (-eye[0] / ray[0])  # ... and that in x = 0
+    assert look(on_one, eye, shape) == pytest.approx(look(on_other, eye, shape), abs=1e-5)
+
+
+def test_a_crown_is_round():
+    shape, eye = np.array([4.0, 4.0, 12.0, 5.0], np.float32), np.array([0.0, -400.0, 6.6])
+    left, middle, right, top = (
+        look(np.array([x, 0.0, z]), eye, shape) for x, z in ((-3.9, 6.6), (0.0, 6.6), (3.9, 6.6), (0.0, 12.0))
+    )
+    assert left[0] < -0.9 and right[0] > 0.9 and middle[1] < -0.9 and top[2] > 0.9
+    np.testing.assert_allclose(left * [-1, 1, 1], right, atol=1e-5)

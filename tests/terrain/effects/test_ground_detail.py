@@ -1,0 +1,103 @@
+"""Detail of near ground: fixed to the ground, gone where pixels cannot show it, and never on what is not bare ground."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from terrain.describe import describe
+from terrain.effects.effect import ShadingBlock
+from terrain.effects.ground_detail import EFFECT, GROUND_WAVES, SHOWS, apply_ground_detail, largest_share
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from terrain.geo.camera import look_at
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture
+def scene(tmp_path) -> Scene:
+    views = {
+        "eye": {"kind": "perspective", "eye": [0, -20, 1.7], "target": [0, 0, 1.5], "fov": 50, "size": [96, 64]},
+        "far": {"kind": "perspective", "eye": [0, 0, 150000], "target": [0, 1, 0], "fov": 20, "size": [96, 64]},
+        "sky": {"kind": "perspective", "eye": [0, 0, 5], "target": [0, 20, 60], "fov": 20, "size": [96, 64]},
+    }
+    terrain = {"generate": {"kind": "landscape", "size": [2000, 2000], "cell": 40, "relief": 1, "seed": 3}}
+    path = tmp_path / "level.yaml"
+    path.write_text(json.dumps({"version": 1, "terrain": terrain, "sun": {"azimuth": 90, "altitude": 40}, "views": views}))
+    return build_scene(load_level(path))
+
+
+def detail_at(scene: Scene, points: np.ndarray, eye: np.ndarray, kind: int = RELIEF) -> np.ndarray:
+    """What becomes of an albedo of 1 at level points (n, 3) of the frame seen from an eye: (n, 3)."""
+    view = look_at(eye, points.mean(axis=0), np.array([0.0, 1.0, 0.0]), 40.0, 1, len(points))
+    frame = view.frame(scene.world)
+    ones = np.ones((1, len(points)), np.float32)
+    normal = np.broadcast_to(UP.astype(np.float32), (1, len(points), 3))
+    position = ((points - frame.origin_earth_m) @ frame.frame_from_earth.T)[None]
+    high = 1e4 * ones
+    buffer = GeometryBuffer(view, frame, ones > 0, position, high, normal, normal, 0 * ones, np.full(ones.shape, kind, np.uint8))
+    albedo = np.ones((1, len(points), 3), np.float32)
+    apply_ground_detail(albedo, ShadingBlock(scene, replace(view, focal_px=1000.0), buffer, {}))
+    return albedo[0]
+
+
+def test_it_is_called_for_near_the_ground_alone(scene):
+    verdicts = {name: EFFECT.called_for(describe(scene, scene.view(name), name)) for name in ("eye", "far", "sky", "map")}
+    assert {name for name, verdict in verdicts.items() if verdict.called_for} == {"eye"}
+    assert "tints alone" in verdicts["map"].reason and "no ground" in verdicts["sky"].reason
+    assert "pixels are as wide" in verdicts["far"].reason
+
+
+def test_imagery_is_left_as_it_is(scene):
+    described = describe(scene, scene.view("eye"), "eye")
+    facts = {**described.facts, "ground_detail": {**described.facts["ground_detail"], "draped": True}}
+    verdict = EFFECT.called_for(described.model_copy(update={"facts": facts}))
+    assert not verdict.called_for and "imagery" in verdict.reason
+
+
+def test_the_bound_falls_with_the_pixels_and_holds(scene):
+    widths = np.geomspace(1e-3, 100.0, 60)
+    bounds = [largest_share(width) for width in widths]
+    assert (np.diff(bounds) <= 0.0).all() and bounds[-1] == 0.0 and bounds[0] > SHOWS
+    rng = np.random.default_rng(1)
+    for away in (2.0, 50.0, 1000.0, 15_000.0):
+        points = np.column_stack([rng.uniform(-0.3, 0.3, (4000, 2)) * away, np.zeros(4000)]) + [70.0, 40.0, 0.0]
+        changed = np.abs(detail_at(scene, points, np.array([70.0, 40.0, away])) - 1.0).max()
+        assert changed <= largest_share(away / 1000.0) + 1e-6
+        assert changed > 0.2 * largest_share(away / 1000.0)
+
+
+def test_it_stays_on_the_ground_when_the_camera_moves(scene):
+    points = np.column_stack([np.linspace(-3, 3, 400), np.linspace(5, 9, 400), np.zeros(400)])
+    one, other = (detail_at(scene, points, np.array([x, 7.0, 20.0])) for x in (-2.0, 2.5))
+    np.testing.assert_allclose(one, other, atol=0.02)
+    assert one.std() > 0.03
+
+
+def test_neighbouring_pixels_never_jump_by_more_than_waves_that_they_can_show(scene):
+    """Along a row of pixels the largest step is that of waves four pixels long, not that of noise from pixel to pixel."""
+    for away in (3.0, 30.0, 300.0):
+        x = np.arange(-200, 200) * away / 1000.0
+        row = detail_at(scene, np.column_stack([x, 0 * x + 1.3, 0 * x]), np.array([0.0, 1.3, away]))[:, 1]
+        steps, across = np.diff(row), row[2:] - row[:-2]
+        assert np.abs(steps).max() < 0.25 and (steps[1:] * steps[:-1] > 0.0).mean() > 0.5
+        assert np.abs(across).mean() > 1.2 * np.abs(steps).mean()
+
+
+@pytest.mark.parametrize("kind", [MESHES, FOREST])
+def test_only_ground_has_it(scene, kind):
+    points = np.column_stack([np.linspace(-3, 3, 50), np.zeros(50), np.zeros(50)])
+    assert (detail_at(scene, points, np.array([0.0, 0.0, 5.0]), kind) == 1.0).all()
+
+
+def test_the_mean_stays(scene):
+    rng = np.random.default_rng(2)
+    points = np.column_stack([rng.uniform(-400, 400, (20000, 2)), np.zeros(20000)])
+    assert detail_at(scene, points, np.array([0.0, 0.0, 3.0])).mean(axis=0) == pytest.approx(np.ones(3), abs=0.02)
+    assert len(GROUND_WAVES) == 8

@@ -1,0 +1,127 @@
+"""Roofs with slopes: closed, as high and as large as closed forms say, and only over what is nearly a rectangle."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+from shapely import affinity
+
+from terrain.errors import LevelError
+from terrain.level.level import load_level
+from terrain.meshes.assemble import place_meshes
+from terrain.meshes.buildings import FOOTING_M
+from terrain.meshes.roofs import MOST_RISE, SLOPE, roof_over
+from terrain.scene import build_scene
+
+UTM = "EPSG:32633"
+SCALE = 0.9996
+"""Of UTM at its middle meridian: metres of the map per metre of the ground."""
+
+GROUND_M, WIDTH_M, LENGTH_M, HEIGHT_M = 50.0, 8.0, 14.0, 6.0
+
+
+@pytest.fixture
+def house(write_raster, tmp_path):
+    """``house(form, outline, height)`` are the bodies of a level's houses over level ground, and heights of their vertices."""
+    ground = write_raster(np.full((40, 40), GROUND_M, np.float32), UTM, 500000, 5000400, 10)
+
+    def make(form: str | None, outline=None, height=HEIGHT_M, **keys):
+        outline = rectangle() if outline is None else outline
+        pyogrio.raw.write(
+            tmp_path / "house.gpkg", shapely.to_wkb(np.array([outline], object)), [np.array([float(height)])], ["height_m"],
+            geometry_type="Polygon", crs=UTM,
+        )  # fmt: skip
+        mesh = {"source": "house.gpkg", **({} if form is None else {"roof": form}), **keys}
+        path = tmp_path / "level.yaml"
+        path.write_text(json.dumps({"version": 1, "terrain": {"source": str(ground)}, "meshes": [mesh]}), encoding="utf-8")
+        scene = build_scene(load_level(path))
+        (placed,) = place_meshes(scene.loaded, scene.world, scene.elevation).seen
+        vertices = placed.origin_earth_m + placed.body.vertices_m @ placed.earth_from_body.T
+        return placed.body, scene.world.map_position(scene.elevation.crs, vertices)[2] - GROUND_M
+
+    return make
+
+
+def rectangle(width=WIDTH_M, length=LENGTH_M, turn=0.0):
+    """A footprint so wide and long on the ground, turned counter-clockwise."""
+    box = shapely.box(500200.0, 5000200.0, 500200.0 + length * SCALE, 5000200.0 + width * SCALE)
+    return affinity.rotate(box, turn)
+
+
+def rise(width=WIDTH_M, height=HEIGHT_M) -> float:
+    return min(SLOPE * width / 2.0, MOST_RISE * height)
+
+
+@pytest.mark.parametrize("turn", [0.0, 33.0, 90.0, 200.0])
+@pytest.mark.parametrize("form", ["pitched", "hipped", "auto"])
+def test_the_ridge_is_at_the_height_and_the_eaves_below_it(house, form, turn):
+    body, height = house(form, rectangle(turn=turn))
+    assert body.closed
+    levels = np.unique(height.round(4))
+    assert levels == pytest.approx([-FOOTING_M, HEIGHT_M - rise(), HEIGHT_M], abs=2e-3)
+
+
+@pytest.mark.parametrize("turn", [0.0, 57.0])
+def test_volumes_are_those_of_prisms_and_pyramids(house, turn):
+    area, block = WIDTH_M * LENGTH_M, HEIGHT_M - rise() + FOOTING_M
+    pitched, _ = house("pitched", rectangle(turn=turn))
+    assert pitched.volume_m3 == pytest.approx(area * (block + rise() / 2.0), rel=1e-3)
+    hipped, _ = house("hipped", rectangle(turn=turn))
+    assert hipped.volume_m3 == pytest.approx(area * block + WIDTH_M * rise() * (3.0 * LENGTH_M - WIDTH_M) / 6.0, rel=1e-3)
+    tent, _ = house("hipped", rectangle(8.0, 8.0, turn))
+    assert tent.closed and tent.volume_m3 == pytest.approx(64.0 * (block + rise() / 3.0), rel=1e-3)
+    flat, _ = house(None, rectangle(turn=turn))
+    assert flat.volume_m3 == pytest.approx(area * (HEIGHT_M + FOOTING_M), rel=1e-3)
+
+
+def test_slopes_are_as_steep_as_tiles_want_it_and_gables_are_walls(house):
+    body, _ = house("pitched", rectangle())
+    corner = body.vertices_m[body.triangles]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    up = normal[:4] @ (body.vertices_m[8] - body.vertices_m[[0, 3]].mean(axis=0))
+    assert (up > 0.0).all()  # the four triangles of the slopes come first
+    roof, wall = body.albedo[:4], body.albedo[4:]
+    assert (roof == roof[0]).all() and (wall == wall[0]).all() and (roof[0] != wall[0]).any()
+
+
+def test_low_sheds_keep_walls(house):
+    _, height = house("pitched", rectangle(10.0, 14.0), height=2.5)
+    assert np.sort(np.unique(height.round(3)))[1] == pytest.approx(2.5 * (1.0 - MOST_RISE), abs=2e-3)
+
+
+def corners(outline) -> np.ndarray:
+    xy = np.array(shapely.orient_polygons(outline).exterior.coords)[:-1]
+    return np.column_stack([xy - xy[0], np.zeros(len(xy))])
+
+
+@pytest.mark.parametrize(
+    ("outline", "height_m", "forms"),
+    [
+        (shapely.box(0, 0, 12, 8), 6.0, {"auto", "pitched", "hipped"}),
+        (shapely.box(0, 0, 40, 20), 6.0, {"pitched", "hipped"}),  # a hall
+        (shapely.box(0, 0, 12, 8), 30.0, {"pitched", "hipped"}),  # a tower
+        (shapely.box(0, 0, 2, 2), 2.0, {"pitched", "hipped"}),
+        (shapely.Polygon([(0, 0), (12, 0), (12, 8), (6, 8), (6, 4), (0, 4)]), 6.0, set()),
+        (shapely.Polygon([(0, 0), (12, 0), (9, 8), (0, 8)]), 6.0, set()),
+        (shapely.Polygon([(0, 0), (12, 0), (6, 8)]), 6.0, set()),
+    ],
+    ids=["house", "hall", "tower", "kiosk", "L", "trapezoid", "triangle"],
+)
+def test_what_gets_a_roof(outline, height_m, forms):
+    given = {form for form in ("auto", "flat", "pitched", "hipped") if roof_over(corners(outline), height_m, form) is not None}
+    assert given == forms
+
+
+def test_what_cannot_have_one_is_flat_and_other_meshes_refuse_the_key(house):
+    outline = affinity.translate(shapely.Polygon([(0, 0), (12, 0), (12, 8), (6, 8), (6, 4), (0, 4)]), 500200, 5000200)
+    body, height = house("pitched", outline)
+    assert body.closed and len(np.unique(height.round(3))) == 2
+    with pytest.raises(LevelError, match="roof"):
+        house("gambrel")
+    with pytest.raises(LevelError, match=r"meshes\.0\.roof"):
+        house("auto", source=None, generate="boxgrid")
