@@ -100,6 +100,8 @@ JACKSBORO: dict[EffectName, dict[str, Any]] = {
 ELSEWHERE: dict[EffectName, tuple[str, str]] = {
     "alpha_test": ("jacksboro_wooded", "valley"),
     "soft_edges": ("jacksboro_wooded", "valley"),
+    "crowns": ("jacksboro_wooded", "valley"),
+    "ground_detail": ("jacksboro_wooded", "village"),
 }
 """Bundled levels, and their views, that call for others."""
 

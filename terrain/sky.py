@@ -139,7 +139,7 @@ def sky_color(sky, sine, along, out):
         light *= aureole
     for k in range(3):
         foot = opposite[k] + (below_sun[k] - opposite[k]) * facing
-        share = 1.0 - np.exp(-fall[k] * sine)
+        share = 1.0 - np.exp(-fall[k] * sine) if sine > 0.0 else 0.0
         color = (1.0 - share) * foot + share * zenith[k]
         out[k] = color + (glow[k] - color) * light
 
