@@ -331,10 +331,12 @@ def _towards_sun(facing, sine, terminator):
     that the light grazes.
     """
     grazing = terminator * sine
+    if facing <= 0.0:
+        return 0.0
     if facing >= grazing:
-        return max(facing, 0.0)
-    share = max(facing, 0.0) / grazing
-    return max(facing, 0.0) * share * share * (3.0 - 2.0 * share)
+        return facing
+    share = facing / grazing
+    return facing * share * share * (3.0 - 2.0 * share)
 
 
 @compiled

@@ -126,9 +126,11 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     if not complete:
         return None
     there[window] = known
+    # At one height for the level, so that no place looks otherwise in another block.
+    points = across[:3] + 0.5 * (elevation.overview.lowest_m + float(np.nanmax(elevation.overview.high_m))) * across[3:]
     return BareGround(
         view, frame, there, window, height[reach:-reach, reach:-reach].copy(), normal, upright, share,
-        _up_vectors(across[:3, :, reach:-reach], world.up_from(frame), first_row, surface.stride, row0 + reach),
+        _up_vectors(points[:, :, reach:-reach], world.up_from(frame), first_row, surface.stride, row0 + reach),
     )  # fmt: skip
 
 
