@@ -118,8 +118,8 @@ def daylight_of(scene: Scene) -> Daylight:
 
 
 def look_of(scene: Scene, view: MapView | PerspectiveView) -> Look:
-    """A scene's style. Clouds take the sky its colour and its bright side; without a sun it has neither; a perspective view has no
-    veil by height.
+    """A scene's style. Clouds take the sky its colour and its bright side; without a sun it has neither, and there is no air over the
+    ground; a perspective view has no veil by height.
     """
     style, (low, high) = scene.style, scene.height_range_m
     clear = 0.0 if scene.sun is None else 1.0 - scene.loaded.level.weather.cloud_cover
@@ -128,7 +128,7 @@ def look_of(scene: Scene, view: MapView | PerspectiveView) -> Look:
     return Look(
         tint_table(style.ramp) if high > low else np.full((TINT_COUNT, 3), LEVEL_ALBEDO),
         style.sky_greying * clear, style.sky_towards_sun * clear, style.terminator, steeper, style.slope_limit,
-        style.aerial if in_map else 0.0, style.aerial_m,
+        style.aerial if in_map and scene.sun is not None else 0.0, style.aerial_m,
     )  # fmt: skip
 
 

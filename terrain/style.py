@@ -98,7 +98,7 @@ STYLES = {
             "natural", "colours of land by its height, soft bluish shadows",
             ((0.0, "#a9be98"), (250.0, "#b7c79f"), (600.0, "#c7cea4"), (1100.0, "#d5d2aa"), (1700.0, "#dad2b0"),
              (2400.0, "#dcd3bd"), (3100.0, "#e0d9ce"), (3800.0, "#e9e6e1"), (4600.0, "#f6f6f6"), (6000.0, "#fdfdfe")),
-            aerial=0.10,
+            aerial=0.06,
         ),
         Style(
             "swiss", "after Swiss relief maps: warm light, violet-blue shade, air over the valleys",
