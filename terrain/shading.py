@@ -118,8 +118,8 @@ def daylight_of(scene: Scene) -> Daylight:
 
 
 def look_of(scene: Scene, view: MapView | PerspectiveView) -> Look:
-    """A scene's style. Clouds take the sky its colour and its bright side; without a sun it has neither, and there is no air over the
-    ground; a perspective view has no veil by height.
+    """A scene's style. Clouds take the sky its colour and its bright side; without a sun it has neither, and there is no air over
+    the ground; a perspective view has no veil by height.
     """
     style, (low, high) = scene.style, scene.height_range_m
     clear = 0.0 if scene.sun is None else 1.0 - scene.loaded.level.weather.cloud_cover
