@@ -51,7 +51,7 @@ PLACES = {
     "village, in perspective": Place("jacksboro_wooded", view="village"),
 }
 
-SHOWN = ("mountains", "city")
+SHOWN = ("high mountains", "city")
 """Places of the docs' picture, in the evening."""
 
 

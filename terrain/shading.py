@@ -42,6 +42,9 @@ LEAST_SKY = 0.3
 LEAST_ACROSS = 0.15
 """Least cosine of the sun's altitude by which its direction on the horizon is told: near the zenith it has none."""
 
+LEAST_GRAZING = 1e-9
+"""Cosine to the sun from which on light is told from none."""
+
 AIR = (0.66, 0.74, 0.84)
 """Linear colour of the veil of air over low ground, by day."""
 
@@ -330,13 +333,9 @@ def _towards_sun(facing, sine, terminator):
     level ground has. Facets of a raster that are turned away, beside others that are not, would be seen as dark squares on slopes
     that the light grazes.
     """
-    grazing = terminator * sine
-    if facing <= 0.0:
-        return 0.0
-    if facing >= grazing:
-        return facing
-    share = facing / grazing
-    return facing * share * share * (3.0 - 2.0 * share)
+    cosine = max(facing, 0.0)
+    share = min(cosine / max(terminator * sine, LEAST_GRAZING), 1.0)
+    return cosine * share * share * (3.0 - 2.0 * share)
 
 
 @compiled
@@ -416,9 +415,13 @@ def _shade_ground(there, height, normal, upright, sky_share, sunlight, look, lig
     _, to_sun, sun, sky, night = light_here
     cols = there.shape[1]
     direct, sky_here, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
+    facing, high, seen, veils = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(TINT_COUNT)
+    as_it_is = exaggeration == 1.0 and limit >= STEEPEST
     beyond, at = np.empty(cols), np.empty(cols, np.int32)
-    own, own_in_shade, step = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
-    in_sun, in_shade = _by_channel(tint, greying)
+    own, grey, step = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
+    channels, greys = _by_channel(tint)
+    for n in range(TINT_COUNT):
+        veils[n] = _veil_at(TINT_LOW_M + n * TINT_STEP_M, aerial, aerial_m)
     high_sine = np.sin(np.radians(HIGH_SUN_DEG))
     for i in range(there.shape[0]):
         sines_of_row(up, i, sines)
@@ -429,51 +432,58 @@ def _shade_ground(there, height, normal, upright, sky_share, sunlight, look, lig
             for j in range(cols):
                 direct[j] *= _direct_at(sines[j])
                 sky_here[j] = night + (1.0 - night) * dusk_of(sines[j])
-        _light_on_row(
-            normal[i],
-            (to_sun[0], to_sun[1], to_sun[2]),
-            upright[i],
-            sines,
-            (exaggeration, limit, towards, terminator),
-            sky_share[i],
-            sky_here,
-            direct,
-            own,
-        )
-        seen = own.copy()
-        for j in range(cols):
-            veil[j] = _veil_at(height[i, j], aerial, aerial_m) if aerial > 0.0 else 0.0
+        _face(normal[i], (to_sun[0], to_sun[1], to_sun[2]), facing)
+        high[:] = upright[i]
+        if not as_it_is:
+            _steepen(facing, high, sines, exaggeration, limit)
+        _sky_on_row(facing, high, sines, towards, sky_share[i], sky_here, seen)
+        _sun_on_row(facing, sines, terminator, direct)
         _place_in_tint(height[i], beyond, at)
+        _look_up_tint(veils, at, beyond, veil)
+        _look_up_tint(greys, at, beyond, grey)
         for k in range(3):
-            _look_up_tint(in_sun[k], at, beyond, own)
-            _look_up_tint(in_shade[k], at, beyond, own_in_shade)
-            _srgb_steps_of(own, own_in_shade, sun[k], sky[k], direct, seen, veil, sky_here, AIR[k], table.size, step)
+            _look_up_tint(channels[k], at, beyond, own)
+            _srgb_steps_of(own, grey, greying, sun[k], sky[k], direct, seen, veil, sky_here, AIR[k], table.size, step)
             _look_up_srgb(there[i], step, table, out[i, :, k])
 
 
 @compiled
-def _by_channel(tint, greying):
-    """A ramp's colours (3, n) in sunlight, and as the sky's light shows them."""
-    in_sun, in_shade = np.empty((3, len(tint))), np.empty((3, len(tint)))
+def _by_channel(tint):
+    """A ramp's colours (3, n), and their luminances (n,)."""
+    channels, greys = np.empty((3, len(tint))), np.empty(len(tint))
     for n in range(len(tint)):
-        grey = luminance_of(tint[n, 0], tint[n, 1], tint[n, 2])
+        greys[n] = luminance_of(tint[n, 0], tint[n, 1], tint[n, 2])
         for k in range(3):
-            in_sun[k, n], in_shade[k, n] = tint[n, k], tint[n, k] + greying * (grey - tint[n, k])
-    return in_sun, in_shade
+            channels[k, n] = tint[n, k]
+    return channels, greys
 
 
 @compiled
-def _light_on_row(normal, to_sun, upright, sines, slopes, sky_share, sky_here, direct, seen):
-    """Take a row's direct light to what falls on its slopes, and say in ``seen`` how much of the sky's does."""
-    exaggeration, limit, towards, terminator = slopes
-    as_it_is = exaggeration == 1.0 and limit >= STEEPEST
-    for j in range(seen.size):
-        facing = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
-        high = np.float64(upright[j])
-        if not as_it_is:
-            facing, high = _on_slope(facing, high, sines[j], exaggeration, limit)
-        seen[j] = sky_share[j] * _sky_on_slope(facing, high, sines[j], towards) * sky_here[j]
-        direct[j] *= _towards_sun(facing, sines[j], terminator)
+def _face(normal, to_sun, out):
+    """Cosines of normals (n, 3) to the sun."""
+    for j in range(out.size):
+        out[j] = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
+
+
+@compiled
+def _steepen(facing, upright, sines, exaggeration, limit):
+    """``_on_slope`` of a row."""
+    for j in range(facing.size):
+        facing[j], upright[j] = _on_slope(facing[j], upright[j], sines[j], exaggeration, limit)
+
+
+@compiled
+def _sky_on_row(facing, upright, sines, towards, sky_share, sky_here, out):
+    """How much of the sky's light falls on a row's slopes."""
+    for j in range(out.size):
+        out[j] = sky_share[j] * _sky_on_slope(facing[j], upright[j], sines[j], towards) * sky_here[j]
+
+
+@compiled
+def _sun_on_row(facing, sines, terminator, direct):
+    """Take a row's direct light to what falls on its slopes."""
+    for j in range(direct.size):
+        direct[j] *= _towards_sun(facing[j], sines[j], terminator)
 
 
 @compiled
@@ -493,11 +503,11 @@ def _look_up_tint(tints, at, beyond, out):
 
 
 @compiled
-def _srgb_steps_of(own, own_in_shade, sun, sky, direct, seen, veil, sky_here, air, steps, out):
+def _srgb_steps_of(own, grey, greying, sun, sky, direct, seen, veil, sky_here, air, steps, out):
     """Which of the table's ``steps`` the colour is that ground shows of light, with a shoulder and the veil of air."""
     many = np.float32(steps)
     for j in range(out.size):
-        shown = own[j] * sun * direct[j] + own_in_shade[j] * sky * seen[j]
+        shown = own[j] * (sun * direct[j]) + (own[j] + greying * (grey[j] - own[j])) * (sky * seen[j])
         shown = shown if shown <= SHOULDER else 1.0 - SHOULDER_LEFT**2 / (shown + SHOULDER_LEFT - SHOULDER)
         linear = np.float32(shown + veil[j] * (air * sky_here[j] - shown))
         step = linear * many
