@@ -137,7 +137,7 @@ def look_of(scene: Scene, view: MapView | PerspectiveView) -> Look:
 
 def in_shade(albedo: np.ndarray, look: Look) -> np.ndarray:
     """Linear albedos (..., 3) as the sky's light shows them: nearer to grey of the same luminance."""
-    grey = luminance_of(albedo[..., 0], albedo[..., 1], albedo[..., 2])[..., None]
+    grey = np.asarray(luminance_of(albedo[..., 0], albedo[..., 1], albedo[..., 2]))[..., None]
     return albedo + look.sky_greying * (grey - albedo)
 
 
