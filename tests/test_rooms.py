@@ -32,7 +32,7 @@ MAY_IMPORT = {
     "terrain.gl": "",
     "terrain.gbuffer": "geo gl ground level lights meshes scene scene_objects trees",
     "terrain.casters": "gbuffer geo ground level scene scene_objects trees",
-    "terrain.shading": "gbuffer scene",
+    "terrain.shading": "gbuffer geo ground scene style",
     "terrain.sky": "geo scene shading",
     "terrain.facts": "casters gbuffer geo ground level lights meshes scene scene_objects trees",
     "terrain.effects": "casters facts gbuffer geo ground level lights scene scene_objects shading sky",
