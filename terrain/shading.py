@@ -18,7 +18,7 @@ from terrain.geo.world import LocalFrame
 from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 from terrain.srgb import srgb_of_linear
-from terrain.style import STEEPEST, TINT_COUNT, TINT_LOW_M, TINT_STEP_M, tint_table
+from terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M, tint_table
 
 LEVEL_ALBEDO = 0.42
 """Linear albedo of ground without any relief, which has no heights to tint."""
@@ -375,7 +375,7 @@ def _shade_ground(there, height, normal, upright, sky_share, sunlight, look, lig
     cols = there.shape[1]
     direct, sky_here, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
     facing, high, seen, veils = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(TINT_COUNT)
-    as_it_is = exaggeration == 1.0 and limit >= STEEPEST
+    as_it_is = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
     beyond, at = np.empty(cols), np.empty(cols, np.int32)
     own, grey, step = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
     channels, greys = _by_channel(tint)

@@ -39,7 +39,7 @@ FINE_CELL_M = 2.5
 EXAGGERATION_POWER, MOST_EXAGGERATION = 0.25, 3.0
 """How slopes grow with the side of a map's pixels beyond ``exaggerates_from_m``, and by how much at the most."""
 
-STEEPEST = 1e3
+NO_SLOPE_LIMIT = 1e3
 """A limit of slopes that limits none."""
 
 
@@ -82,7 +82,7 @@ class Style:
     aerial: float = 0.0
     aerial_m: float = 1500.0
     slope_exaggeration: float = 1.0
-    slope_limit: float = STEEPEST
+    slope_limit: float = NO_SLOPE_LIMIT
     exaggerates_from_m: float = 60.0
 
     def slope_exaggeration_at(self, pixel_m: float) -> float:
