@@ -51,6 +51,9 @@ AIR = (0.66, 0.74, 0.84)
 LAMP_ROOM_LIGHT = 0.4
 """Light from all round, as a share of the day's sky light, where lamps shine and there is no sun."""
 
+MAP_FOLIAGE = 2.0
+"""How much brighter foliage is in maps than leaves are: woods from above, with their own shadows, are nearly black."""
+
 LEAF_GLOW = 0.3
 """Share of its light that foliage shows whichever way it is turned: leaves let light through and lie in all directions."""
 
@@ -91,7 +94,8 @@ class LightHere(NamedTuple):
 
 class Look(NamedTuple):
     """What a style makes of ground and light, as the loops take it: linear colours (n, 3) by height, greying and direction of the
-    sky's light, the slopes' factor and limit, the veil's share at the height 0 and the height over which it falls.
+    sky's light, the slopes' factor and limit, the veil's share at the height 0 and the height over which it falls, and a factor of
+    foliage's albedo.
     """
 
     tint: np.ndarray
@@ -102,6 +106,7 @@ class Look(NamedTuple):
     slope_limit: float
     aerial: float
     aerial_m: float
+    foliage: float
 
 
 def daylight_of(scene: Scene) -> Daylight:
@@ -126,6 +131,7 @@ def look_of(scene: Scene, view: MapView | PerspectiveView) -> Look:
         tint_table(style.ramp) if high > low else np.full((TINT_COUNT, 3), LEVEL_ALBEDO),
         style.sky_greying * clear, style.sky_towards_sun * clear, style.terminator, steeper, style.slope_limit,
         style.aerial if in_map and scene.sun is not None else 0.0, style.aerial_m,
+        MAP_FOLIAGE if in_map else 1.0,
     )  # fmt: skip
 
 
@@ -312,7 +318,7 @@ def _veil_at(height, aerial, aerial_m):
 def _shade(shown, look, light_here, centre, glow, albedo, sunlight, skylight, lamplight):
     # What is None is decided when this is compiled: each variant holds the code of what it is given alone.
     there, kind, position, height, normal = shown
-    tint, greying, towards, terminator, exaggeration, limit, aerial, aerial_m = look
+    tint, greying, towards, terminator, exaggeration, limit, aerial, aerial_m, foliage = look
     has_sun, to_sun, sun, sky, night = light_here
     rows, cols = there.shape
     out = np.zeros((rows, cols, 3), np.float32)
@@ -341,6 +347,8 @@ def _shade(shown, look, light_here, centre, glow, albedo, sunlight, skylight, la
             if albedo is not None:
                 if np.isfinite(albedo[i, j, 0]):
                     red, green, blue = albedo[i, j, 0], albedo[i, j, 1], albedo[i, j, 2]
+            if kind[i, j] == FOREST:
+                red, green, blue = min(foliage * red, 1.0), min(foliage * green, 1.0), min(foliage * blue, 1.0)
             own = red, green, blue
             grey = luminance_of(red, green, blue)
             for k in range(3):
@@ -370,7 +378,7 @@ def _shade_ground(there, height, normal, upright, sky_share, sunlight, look, lig
     """``_shade`` of bare ground and ``srgb_encoded`` of that, row by row: in loops that compile to vector instructions, and what is
     looked up in tables between them.
     """
-    tint, greying, towards, terminator, exaggeration, limit, aerial, aerial_m = look
+    tint, greying, towards, terminator, exaggeration, limit, aerial, aerial_m, _ = look
     _, to_sun, sun, sky, night = light_here
     cols = there.shape[1]
     direct, sky_here, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
