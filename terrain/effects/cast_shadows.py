@@ -150,7 +150,7 @@ def _slopes_under_sun(
 
 
 @cached("scene", 256 * MIB)
-def _trees(objects: SceneObjects, view: PerspectiveView, coarse_view: CoarseView) -> tuple[TreeInstances | None, bool]:
+def trees_seen(objects: SceneObjects, view: PerspectiveView, coarse_view: CoarseView) -> tuple[TreeInstances | None, bool]:
     """The trees round an eye, and whether leaves of any are in view."""
     stand = tree_instances_in_perspective(objects, coarse_view.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is None:
@@ -175,7 +175,7 @@ def _trees(objects: SceneObjects, view: PerspectiveView, coarse_view: CoarseView
 def _seen_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
     """How far from each point that is looked at the picture goes on unseen, metres (n,); trees in view rise above it."""
     return coarse_view.away_m * coarse_view.spacing + (
-        scene.objects.tallest_m if _trees(scene.objects, view, coarse_view)[1] else 0.0
+        scene.objects.tallest_m if trees_seen(scene.objects, view, coarse_view)[1] else 0.0
     )
 
 
@@ -201,7 +201,7 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, coarse_view: 
     if kind == "meshes":
         first, last = _boxes_of_meshes(objects, scene.light)
     else:
-        stand, seen = _trees(scene.objects, view, coarse_view)
+        stand, seen = trees_seen(scene.objects, view, coarse_view)
         if stand is None or seen:
             return seen
         rotation, translation = scene.light.from_frame(frame)

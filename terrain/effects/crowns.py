@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from terrain.effects.cast_shadows import trees_seen
 from terrain.effects.effect import Effect, ShadingBlock, Verdict
 from terrain.effects.haze import trees_in_view
 from terrain.facts.coarse_view import CoarseView
@@ -54,9 +55,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """How many ``trees`` may be in a perspective view, and whether direct sunlight reaches the level."""
     if isinstance(view, MapView) or coarse_view is None:
         return {"trees": 0, "sunlit": scene.sun_is_up}
-    stand, seen = trees_in_view(scene, view, coarse_view.buffer.frame)
+    stand, near = trees_in_view(scene, view, coarse_view.buffer.frame)
     sunlit = scene.sun_is_up and bool(daylight_of(scene).sun.any())
-    return {"trees": 0 if stand is None else len(seen), "sunlit": sunlit}
+    seen = stand is not None and trees_seen(scene.objects, view, coarse_view)[1]
+    return {"trees": len(near) if seen else 0, "sunlit": sunlit}
 
 
 def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:

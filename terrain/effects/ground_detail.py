@@ -55,8 +55,8 @@ GRAZING_COSINE = 0.02
 SHOWS = CHANNEL_STEP / 0.45
 """Share of the albedo that changes no colour by more than one of 255."""
 
-NEARER = 0.5
-"""Ground between a coarse look's points is no nearer than this share of the nearest that was met."""
+FACING_BESIDE = 0.03
+"""By how much the cosine between the view and the ground may be larger between a coarse look's points than at them."""
 
 _WAVES = np.array(GROUND_WAVES)
 
@@ -83,11 +83,17 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     draped = scene.loaded.level.terrain.imagery is not None
     if coarse_view is None or isinstance(view, MapView):
         return {"draped": draped, "nearest_m": None, "share": None}
-    away_m = coarse_view.away_m[coarse_view.buffer.kind[coarse_view.buffer.there] == RELIEF]
+    buffer = coarse_view.buffer
+    ground = buffer.kind[buffer.there] == RELIEF
+    away_m = coarse_view.away_m[ground]
     if not len(away_m):
         return {"draped": draped, "nearest_m": None, "share": None}
-    nearest_m = float(away_m.min())
-    return {"draped": draped, "nearest_m": nearest_m, "share": largest_share(NEARER * nearest_m * view.pixel)}
+    to_eye = (coarse_view.eye_frame_m - coarse_view.points_frame_m[ground]) / np.maximum(away_m, 1e-9)[:, None]
+    facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.there][ground], to_eye))
+    # Between the points ground lies nearer, and is seen more from above.
+    nearer = 1.0 - min(float(coarse_view.spacing), 0.5)
+    wide_m = view.pixel * nearer * away_m / np.clip(facing / nearer + FACING_BESIDE, GRAZING_COSINE, 1.0)
+    return {"draped": draped, "nearest_m": float(away_m.min()), "share": largest_share(float(wide_m.min()))}
 
 
 def largest_share(pixel_m: float) -> float:

@@ -15,7 +15,7 @@ TIMID = 0.1
 
 FALLS_SHORT = {
     "hills map 08:30": 2, "hills perspective 08:30": 4, "post 80.0 degrees, 10.0 m": 8, "post 70.0 degrees, 10.0 m": 8,
-    "post 60.0 degrees, 10.0 m": 8, "post 50.0 degrees, 10.0 m": 6, "post 40.0 degrees, 10.0 m": 5,
+    "post 60.0 degrees, 10.0 m": 8, "post 50.0 degrees, 10.0 m": 7, "post 40.0 degrees, 10.0 m": 7,
 }  # fmt: skip
 """Steps of 255 by which an effect is missed, as measured. Refraction: where light grazes a slope, facets and nodes throw shadows of
 their own size, and one that comes or goes shows more than the edges that move. Soft edges: a pixel on a hard edge shows five
