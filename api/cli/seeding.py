@@ -65,6 +65,7 @@ class SeedOptions:
     dry_run: bool
     max_tasks: int | None
     retry_failed: bool
+    task_timeout: float
     as_json: bool
 
 
@@ -99,7 +100,7 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
                 return
             done = draw_and_publish(
                 table, run, store, shards, outputs, lambda: workers.begin(run, shards), shown.note, options.max_tasks,
-                options.retry_failed,
+                options.retry_failed, options.task_timeout,
             )  # fmt: skip
         finally:
             workers.close()

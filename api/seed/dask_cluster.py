@@ -204,9 +204,9 @@ class _KeptProcess:
             except GraphicsError as error:
                 self._end()
                 return NotDrawn(task.id, str(error), "refused")
-            except EOFError:
+            except EOFError as ended:
                 self._end()
-                return NotDrawn(task.id, "its render process ended in the middle of it", "died")
+                return NotDrawn(task.id, str(ended), "died")
 
     def _of(self, run: tuple[str, str]) -> RenderProcess:
         if self._process is None or self._run != run:

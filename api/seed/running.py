@@ -8,13 +8,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from api.seed.local_pool import Runner
-from api.seed.messages import Drawn, NotDrawn, Task
+from api.seed.messages import LEAST_LIMIT_S, Drawn, NotDrawn, Task
 from api.seed.planning import PlannedRun
 from api.seed.task_table import TaskTable
 from terrain.errors import RenderError
 
 MOST_DEATHS = 3
 """How often a task is begun of which workers die."""
+
+LIMIT_TIMES = 100.0
+"""After so many times as long as a task is expected to take, or ``LEAST_LIMIT_S`` if that is more, its process counts as hung."""
 
 FILES_EVERY_S = 0.5
 """How often it is looked whether the level's files have changed, where there are many of them; ..."""
@@ -40,14 +43,21 @@ def shard_name(key: str) -> str:
     return f"{key[:2]}/{key}.tiles"
 
 
-def task_of(table: TaskTable, run: PlannedRun, number: int) -> Task:
+def task_of(table: TaskTable, run: PlannedRun, number: int, least_limit_s: float) -> Task:
     """A task as workers are told it."""
-    sun, zoom, x, y, key = table.place(number)
-    return Task(number, run.sun_names.index(sun), zoom, x, y, shard_name(key))
+    sun, zoom, x, y, key, expected_s = table.place(number)
+    return Task(number, run.sun_names.index(sun), zoom, x, y, shard_name(key), max(least_limit_s, LIMIT_TIMES * expected_s))
 
 
-def run_tasks(table: TaskTable, run: PlannedRun, runner: Runner, on_progress: Callable[[TaskEnd], None]) -> None:
-    """Draw what waits. Tasks that fail are noted, and the others go on.
+def run_tasks(
+    table: TaskTable,
+    run: PlannedRun,
+    runner: Runner,
+    on_progress: Callable[[TaskEnd], None],
+    least_limit_s: float = LEAST_LIMIT_S,
+) -> None:
+    """Draw what waits. Tasks that fail are noted, and the others go on. A process that has drawn a task for ``least_limit_s``, or
+    for ``LIMIT_TIMES`` as long as expected if that is more, counts as dead.
 
     Raises ``RenderError`` where the level changes meanwhile, where no shard can be written, and where nothing can be drawn: what is
     done by then stays done.
@@ -58,7 +68,7 @@ def run_tasks(table: TaskTable, run: PlannedRun, runner: Runner, on_progress: Ca
     total, done, looked = len(waiting), 0, clock.monotonic()
     while waiting or running:
         while waiting and runner.free() > 0:
-            task = task_of(table, run, waiting.popleft())
+            task = task_of(table, run, waiting.popleft(), least_limit_s)
             running[task.id] = task
             runner.submit(task)
         for outcome in runner.wait(HEARD_EVERY_S):
