@@ -16,7 +16,7 @@ import time as clock
 from collections.abc import Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from api.seed.messages import Begin, Begun, Drawn, NotBegun, NotDrawn, Task
 from api.seed.storage import store_at
@@ -83,7 +83,7 @@ class RenderProcess:
         """
         try:
             hangs = not self.connection.poll(self.left_s)
-            said = None if hangs else self.connection.recv()
+            said: Any = None if hangs else self.connection.recv()
         except (EOFError, OSError):
             raise EOFError(DIED) from None
         if hangs:

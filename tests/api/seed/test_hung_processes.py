@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from api.seed.dask_cluster import _KeptProcess
 from api.seed.local_pool import MOST_FRUITLESS, LocalPool
 from api.seed.messages import LEAST_LIMIT_S, Drawn, NotDrawn, Task
 from api.seed.planning import plan_run
@@ -87,7 +86,9 @@ def test_a_task_that_always_hangs_is_listed_and_the_others_go_on(run: Run):
 
 @pytest.mark.long
 def test_what_hangs_below_a_clusters_worker_is_replaced(run: Run):
-    kept, shards = _KeptProcess(), str(run.work / "shards")
+    from api.seed.dask_worker import KeptProcess
+
+    kept, shards = KeptProcess(), str(run.work / "shards")
     with TaskTable(run.work / "tasks.sqlite") as table:
         planned = plan_run(table, run.request, lambda text: None)
         task = task_of(table, planned, table.waiting()[0], LEAST_LIMIT_S)
@@ -98,7 +99,7 @@ def test_what_hangs_below_a_clusters_worker_is_replaced(run: Run):
     said = kept.draw(shards, "run.json", task._replace(limit_s=1.0))
     assert isinstance(said, NotDrawn) and (said.how, said.error) == ("died", "its render process gave no answer within 1 s")
     assert isinstance(kept.draw(shards, "run.json", task), Drawn)
-    kept._end()
+    kept.end()
 
 
 def test_processes_that_hang_at_the_start_end_the_run(monkeypatch: pytest.MonkeyPatch):
