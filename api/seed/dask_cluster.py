@@ -75,11 +75,11 @@ class DaskCluster:
         self._run, self._seen = (shards, name), clock.monotonic()
         return self
 
-    def free(self) -> int:
-        """As the protocol says."""
-        return max(AHEAD * len(self._able()) - len(self._running), 0)
+    def free(self) -> Sequence[int]:
+        """As the protocol says: which worker draws a task is Dask's to say, so there is one lane."""
+        return [0] * max(AHEAD * len(self._able()) - len(self._running), 0)
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task, lane: int = 0) -> None:
         """As the protocol says."""
         assert self._run is not None
         able = self._able()

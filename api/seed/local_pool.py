@@ -20,10 +20,12 @@ MOST_FRUITLESS = 5
 class Runner(Protocol):
     """What draws tasks. To be used from one thread."""
 
-    def free(self) -> int:
-        """How many tasks may be submitted now."""
+    def free(self) -> Sequence[int]:
+        """The lanes to which a task may be submitted now, once for each. Tasks of one lane that follow one another are best
+        neighbours.
+        """
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task, lane: int) -> None:
         """Begin a task."""
 
     def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
@@ -51,13 +53,13 @@ class LocalPool:
             process.begin(*self._run)
         return self
 
-    def free(self) -> int:
-        """As the protocol says."""
-        return sum(process.begun and process.task is None for process in self._processes)
+    def free(self) -> Sequence[int]:
+        """As the protocol says: a process is a lane."""
+        return [lane for lane, process in enumerate(self._processes) if process.begun and process.task is None]
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task, lane: int) -> None:
         """As the protocol says."""
-        next(process for process in self._processes if process.begun and process.task is None).draw(task)
+        self._processes[lane].draw(task)
 
     def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
         """As the protocol says."""

@@ -36,12 +36,12 @@ class Stopping(LocalPool):
         super().__init__(1)
         self.left, self._limit_s = times, limit_s
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task, lane: int) -> None:
         if not self.left or task.zoom != 11:
-            super().submit(task)
+            super().submit(task, lane)
             return
         self.left -= 1
-        super().submit(task if self._limit_s is None else task._replace(limit_s=self._limit_s))
+        super().submit(task if self._limit_s is None else task._replace(limit_s=self._limit_s), lane)
         os.kill(self.pids[0], signal.SIGSTOP)
 
 
