@@ -16,7 +16,7 @@ from terrain.scene import Scene
 
 @cached("process", MIB, size_of=lambda _: 512)
 def grid_of_zoom(matrix_set: str, zoom: int) -> Grid:
-    """The grid of a tile matrix, by the name of its set. Kept: whoever gets a set by its name gets a copy, which takes milliseconds."""
+    """The grid of a tile matrix, by the name of its set. Kept: a set that is got by its name is a copy, made in milliseconds."""
     return tile_grid(matrix_sets.get(matrix_set), zoom)
 
 
