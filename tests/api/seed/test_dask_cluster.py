@@ -171,6 +171,7 @@ def test_a_worker_with_another_renderer_is_refused(run, cluster):
     with pytest.raises(GraphicsError, match="no worker of the cluster can draw this run.*another renderer"):
         on_cluster(run, cluster)
     cluster.add_worker()
+    until(lambda: workers_of(cluster) == 2)  # as long as there is only the other one, nobody can draw
     assert len(set(on_cluster(run, cluster))) == 1, "the other one draws all"
 
 
