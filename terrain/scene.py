@@ -27,10 +27,11 @@ from terrain.ground.overview import command_for
 from terrain.ground.surface import Surface
 from terrain.level.bundled import BUNDLED
 from terrain.level.level import SUN, LoadedLevel
-from terrain.level.parts import MapSpec, PerspectiveSpec, SunSpec
+from terrain.level.parts import MapSpec, PerspectiveSpec, StyleSpec, SunSpec
 from terrain.lights import Lamp, LightPosition, lamp_of, light_position
 from terrain.own_sun import own_sun
 from terrain.scene_objects import SceneObjects
+from terrain.style import Style, style_of, styled
 
 FEET_WARNING = (
     "x and y are in feet; heights without a unit are taken as metres: if these are feet, too, write terrain: {units: ft} or us-ft "
@@ -54,7 +55,7 @@ PLACES_A_SIDE = 33
 class Scene:
     """A level's ground and light. Immutable; ``with_sun`` and ``with_lamp`` give another one over the same ground.
 
-    ``moved_lamps`` are its lamps where they are not those of the level.
+    ``moved_lamps`` are its lamps where they are not those of the level, ``styled`` how it is shaded where that is not the level's.
     """
 
     loaded: LoadedLevel
@@ -63,6 +64,7 @@ class Scene:
     sun: Sun | None
     objects: SceneObjects
     moved_lamps: Mapping[str, Lamp] = field(default_factory=dict)
+    styled: StyleSpec | None = None
 
     @property
     def place(self) -> Geolocator:
@@ -76,6 +78,12 @@ class Scene:
             return dict(self.moved_lamps)
         where = f"{self.loaded.path}: lights"
         return {name: lamp_of(name, spec, self.place, f"{where}.{name}") for name, spec in self.loaded.level.lights.items()}
+
+    @cached_property
+    def style(self) -> Style:
+        """How the scene is shaded."""
+        cell_m = self.elevation.cell_size_m(self.world.metres_per_unit)
+        return style_of(self.loaded.level, self.styled or self.loaded.level.style, cell_m)
 
     @property
     def light_names(self) -> tuple[str, ...]:
@@ -112,6 +120,15 @@ class Scene:
     def with_sun(self, spec: SunSpec | None) -> Scene:
         """The same ground under another sun (``None`` keeps the level's)."""
         return self if spec is None else replace(self, sun=sun_of(spec, self.world))
+
+    def with_style(self, name: str | None, slope_exaggeration: float | None = None) -> Scene:
+        """The same scene in another style, or with other slopes in shading (``None`` keeps the level's).
+
+        A style that is named comes without the level's ramp. Raises ``InputError``.
+        """
+        own = self.loaded.level.style
+        wanted = styled(own, name, slope_exaggeration)
+        return self if wanted == own else replace(self, styled=wanted)
 
     def with_lamp(self, lamp: Lamp) -> Scene:
         """The same scene with another lamp in the place of the one of its name."""

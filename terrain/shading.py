@@ -1,4 +1,4 @@
-"""Colour of the visible surface: hypsometric tint, Lambert's law and sky light, in linear light, encoded as sRGB."""
+"""Colour of the visible surface: a style's tint, Lambert's law and sky light, in linear light, encoded as sRGB."""
 
 from __future__ import annotations
 
@@ -9,42 +9,44 @@ import numpy as np
 
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.gbuffer.bare_ground import BareGround
+from terrain.gbuffer.bare_ground import BareGround, sines_of_row
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.geo.world import LocalFrame
+from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
-from terrain.srgb import linear_of_srgb, srgb_of_linear
-
-TINT = (
-    (0.00, "#8fb07c"),
-    (0.18, "#b3c58c"),
-    (0.38, "#dcd6a0"),
-    (0.58, "#e0c494"),
-    (0.78, "#d0a988"),
-    (1.00, "#efe6cf"),
-)
-"""Hypsometric tint: share of the level's relief -> sRGB colour, from humid lowland to bare heights."""
-
-WATER_ALBEDO = (0.102, 0.246, 0.392)
-"""Linear albedo of standing water on a map, before what it mirrors: a calm blue (sRGB #5a88a8), darker than the tints."""
+from terrain.srgb import srgb_of_linear
+from terrain.style import STEEPEST, TINT_COUNT, TINT_LOW_M, TINT_STEP_M, tint_table
 
 LEVEL_ALBEDO = 0.42
 """Linear albedo of ground without any relief, which has no heights to tint."""
 
-SUNLIGHT = (1.00, 0.95, 0.86)
-SKYLIGHT = (0.62, 0.76, 1.00)
-"""Linear colours of direct and sky light."""
+SKY_SHARE = 0.28
+"""Irradiance from the whole sky as a share of the sun's on level ground, for a sun down to ``EXPOSURE_FLOOR_DEG``."""
 
-SKY_SHARE = 0.30
-"""Irradiance from the whole sky as a share of the sun's at normal incidence."""
-
-LEVEL_GROUND = 0.80
+LEVEL_GROUND = 0.86
 """Linear exposure of level, lit, white ground: the same for every sun down to ``EXPOSURE_FLOOR_DEG``."""
 
-EXPOSURE_FLOOR_DEG = 14.0
+SHOULDER, SHOULDER_LEFT = 0.6, 0.4
+"""Linear colour from which on brighter light is shown darker than it is, and what is left from there to white."""
+
+EXPOSURE_FLOOR_DEG = 18.0
 NIGHT_SKY = 0.08
 """Sky light of the night as a share of the day's, so that a map can be read."""
+
+LEAST_SKY = 0.3
+"""Least factor of the sky's light on a slope that is turned away from the sky's bright side."""
+
+LEAST_ACROSS = 0.15
+"""Least cosine of the sun's altitude by which its direction on the horizon is told: near the zenith it has none."""
+
+LEAST_GRAZING = 1e-9
+"""Cosine to the sun from which on light is told from none."""
+
+AIR = (0.66, 0.74, 0.84)
+"""Linear colour of the veil of air over low ground, by day."""
 
 LAMP_ROOM_LIGHT = 0.4
 """Light from all round, as a share of the day's sky light, where lamps shine and there is no sun."""
@@ -83,14 +85,6 @@ class Daylight:
     sky: np.ndarray
 
 
-class Tints(NamedTuple):
-    """Linear colours (n, 3) of ground from ``low_m`` on to ``relief_m`` above it."""
-
-    low_m: float
-    relief_m: float
-    color: np.ndarray
-
-
 class LightHere(NamedTuple):
     """A day's light, the direction (3,) to its sun in a frame, and the night's share of the sky's."""
 
@@ -101,15 +95,55 @@ class LightHere(NamedTuple):
     night: float
 
 
+class Look(NamedTuple):
+    """What a style makes of ground and light, as the loops take it: linear colours (n, 3) by height, greying and direction of the
+    sky's light, the slopes' factor and limit, the veil's share at the height 0 and the height over which it falls.
+    """
+
+    tint: np.ndarray
+    sky_greying: float
+    sky_towards_sun: float
+    terminator: float
+    slope_exaggeration: float
+    slope_limit: float
+    aerial: float
+    aerial_m: float
+
+
 def daylight_of(scene: Scene) -> Daylight:
     """The day's light over a level: clouds take the direct sun away where they are (all of it if there is nothing else, else
     by the effect ``clouds``), and make the sky grey.
     """
-    exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
-    cover = scene.loaded.level.weather.cloud_cover
-    clear, grey = np.array(SKYLIGHT) * SKY_SHARE * exposure, np.array(CLOUD_LIGHT) * OVERCAST_GROUND
-    sun = np.array(SUNLIGHT) * exposure
+    cover, style = scene.loaded.level.weather.cloud_cover, scene.style
+    clear, grey = np.array(style.skylight) * LEVEL_GROUND * SKY_SHARE / (1.0 + SKY_SHARE), np.array(CLOUD_LIGHT) * OVERCAST_GROUND
+    sun = np.array(style.sunlight) * exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     return Daylight(np.zeros(3) if scene.loaded.level.weather.overcast else sun, (1.0 - cover) * clear + cover * grey)
+
+
+def look_of(scene: Scene, view: MapView | PerspectiveView) -> Look:
+    """A scene's style. Clouds take the sky its colour and its bright side; without a sun it has neither, and there is no air over
+    the ground; a perspective view has no veil by height.
+    """
+    style, (low, high) = scene.style, scene.height_range_m
+    clear = 0.0 if scene.sun is None else 1.0 - scene.loaded.level.weather.cloud_cover
+    in_map = isinstance(view, MapView)
+    steeper = style.slope_exaggeration_at(map_pixel_m(scene.world, view)) if isinstance(view, MapView) else style.slope_exaggeration
+    return Look(
+        tint_table(style.ramp) if high > low else np.full((TINT_COUNT, 3), LEVEL_ALBEDO),
+        style.sky_greying * clear, style.sky_towards_sun * clear, style.terminator, steeper, style.slope_limit,
+        style.aerial if in_map and scene.sun is not None else 0.0, style.aerial_m,
+    )  # fmt: skip
+
+
+def in_shade(albedo: np.ndarray, look: Look) -> np.ndarray:
+    """Linear albedos (..., 3) as the sky's light shows them: nearer to grey of the same luminance."""
+    grey = np.asarray(luminance_of(albedo[..., 0], albedo[..., 1], albedo[..., 2]))[..., None]
+    return albedo + look.sky_greying * (grey - albedo)
+
+
+def most_sky(scene: Scene) -> float:
+    """The largest factor that a slope has of the sky's light beyond the share that it sees: towards the sky's bright side."""
+    return 1.0 + scene.style.sky_towards_sun * (np.sqrt(2.0) - 1.0)
 
 
 def shade(
@@ -126,17 +160,18 @@ def shade(
     buffer's own; ``skylight`` (rows, cols) is the share of the sky that is seen (without it: what a slope leaves of it by itself),
     ``lamplight`` (rows, cols, 3) what comes from elsewhere. Black where nothing is there.
     """
-    low, high = scene.height_range_m
-    to_sun = np.zeros(3) if scene.sun is None else scene.sun.in_frame(buffer.frame)
-    tint = tint_table() if high > low else np.full((2, 3), LEVEL_ALBEDO)
-    light = daylight_of(scene)
     if albedo is None:
         albedo = buffer.albedo if scene.loaded.level.water is None else albedo_of(buffer, scene)
     return _shade(
-        buffer.shown, Tints(low, max(high - low, 1.0), tint),
-        LightHere(scene.sun is not None, to_sun, light.sun, light.sky, night_of(scene)),
-        scene.world.up_from(buffer.frame), LEAF_GLOW, albedo, sunlight, skylight, lamplight,
+        buffer.shown, look_of(scene, buffer.view), light_here(scene, buffer.frame), scene.world.up_from(buffer.frame), LEAF_GLOW,
+        albedo, sunlight, skylight, lamplight,
     )  # fmt: skip
+
+
+def light_here(scene: Scene, frame: LocalFrame) -> LightHere:
+    """A scene's day in a frame."""
+    light, to_sun = daylight_of(scene), np.zeros(3) if scene.sun is None else scene.sun.in_frame(frame)
+    return LightHere(scene.sun is not None, to_sun, light.sun, light.sky, night_of(scene))
 
 
 def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.ndarray:
@@ -144,39 +179,14 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
     of the sun's direct light that arrives. Black where there is no ground.
     """
     assert scene.sun is not None
-    low, high = scene.height_range_m
-    light, to_sun = daylight_of(scene), scene.sun.in_frame(ground.frame)
     out = np.zeros((*ground.there.shape, 3), np.uint8)
     if ground.height_m.size:
+        light = light_here(scene, ground.frame)
         _shade_ground(
-            ground.there[ground.window], ground.height_m, ground.normal_frame, ground.sky_share, sunlight[ground.window],
-            Tints(low, max(high - low, 1.0), tint_table() if high > low else np.full((2, 3), LEVEL_ALBEDO)),
-            LightHere(True, to_sun, light.sun, light.sky, night_of(scene)), _sines_of_sun(ground, scene, to_sun), _srgb_table(),
+            ground.there[ground.window], ground.height_m, ground.normal_frame, ground.upright, ground.sky_share,
+            sunlight[ground.window], look_of(scene, ground.view), light, ground.up.towards(light.to_sun_frame), _srgb_table(),
             out[ground.window],
         )  # fmt: skip
-    return out
-
-
-def _sines_of_sun(ground: BareGround, scene: Scene, to_sun_frame: np.ndarray) -> np.ndarray | None:
-    """Sines of the sun's altitude (r, c) in the ground's window; ``None`` where it is high everywhere."""
-    view, surface = ground.window_view, scene.surface(ground.view.grid)
-    row0, col0, centre = int(view.row0), int(view.col0), scene.world.up_from(ground.frame)
-    some = np.meshgrid(*(np.rint(np.linspace(0, size - 1, 9)).astype(np.int64) for size in (view.rows, view.cols)), indexing="ij")
-    row, col = (axis.ravel() for axis in some)
-    points = surface.positions(row + row0, col + col0, np.full(row.size, scene.height_range_m[0], np.float32), ground.frame)
-    if np.nanmin(_sines(points, centre, to_sun_frame)) > np.sin(np.radians(HIGH_SUN_DEG)):
-        return None
-    position = surface.points(row0, col0, ground.height_m, ground.frame)
-    return _sines(position.reshape(-1, 3), centre, to_sun_frame).reshape(ground.height_m.shape)
-
-
-@compiled
-def _sines(position, centre, to_sun):
-    """Sines (n,) of the sun's altitude at points (n, 3)."""
-    out = np.empty(len(position))
-    for n in range(len(position)):
-        x, y, z = position[n, 0] - centre[0], position[n, 1] - centre[1], position[n, 2] - centre[2]
-        out[n] = (to_sun[0] * x + to_sun[1] * y + to_sun[2] * z) / np.sqrt(x * x + y * y + z * z)
     return out
 
 
@@ -204,12 +214,10 @@ def night_of(scene: Scene) -> float:
 
 def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Linear albedo (rows, cols, 3) float32 of a buffer's points, the ground's tint and water included: a new array."""
-    low, high = scene.height_range_m
-    tint = tint_table() if high > low else np.full((2, 3), LEVEL_ALBEDO)
-    albedo = _albedo(buffer.there, buffer.height_m, buffer.albedo, np.float64(low), np.float64(max(high - low, 1.0)), tint)
+    albedo = _albedo(buffer.there, buffer.height_m, buffer.albedo, look_of(scene, buffer.view).tint)
     if scene.loaded.level.water is not None:
         water = water_in(buffer, scene)
-        albedo[water if buffer.albedo is None else water & np.isnan(buffer.albedo[..., 0])] = WATER_ALBEDO
+        albedo[water if buffer.albedo is None else water & np.isnan(buffer.albedo[..., 0])] = scene.style.water
     return albedo
 
 
@@ -259,22 +267,12 @@ def srgb_encoded(linear: np.ndarray) -> np.ndarray:
 
 
 def exposure_of(altitude_deg: float | None) -> float:
-    """Exposure for a sun's altitude at the anchor (``None``: no sun, but lamps of its strength): level, lit, white ground
-    keeps its brightness.
+    """Exposure for a sun's altitude at the anchor (``None``: no sun, but lamps of its strength): level, lit, white ground keeps its
+    brightness down to ``EXPOSURE_FLOOR_DEG``, and what the sky gives of it for every sun.
     """
     if altitude_deg is None:
         return LEVEL_GROUND
-    level = np.sin(np.radians(max(altitude_deg, EXPOSURE_FLOOR_DEG))) + SKY_SHARE
-    return LEVEL_GROUND / float(level)
-
-
-def tint_table() -> np.ndarray:
-    """The hypsometric tint as linear colours (256, 3) over the level's relief."""
-    stops = np.array([stop for stop, _ in TINT])
-    colours = np.array([[int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for _, text in TINT])
-    linear = linear_of_srgb(colours)
-    shares = np.linspace(0.0, 1.0, 256)
-    return np.stack([np.interp(shares, stops, linear[:, k]) for k in range(3)], axis=1)
+    return LEVEL_GROUND / ((1.0 + SKY_SHARE) * float(np.sin(np.radians(max(altitude_deg, EXPOSURE_FLOOR_DEG)))))
 
 
 @cached("process", MIB)
@@ -291,10 +289,71 @@ def dusk_of(sine):
 
 
 @compiled
-def _shade(shown, tints, light_here, centre, glow, albedo, sunlight, skylight, lamplight):
+def shoulder(linear):
+    """Display colour of linear light: itself up to ``SHOULDER``, from there on ever less, so that slopes that face a low sun keep
+    their tint.
+    """
+    return linear if linear <= SHOULDER else 1.0 - SHOULDER_LEFT**2 / (linear + SHOULDER_LEFT - SHOULDER)
+
+
+@compiled
+def luminance_of(red, green, blue):
+    """Luminance of linear sRGB (ITU-R BT.709)."""
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+@compiled
+def _on_slope(facing, upright, sine, exaggeration, limit):
+    """A slope's cosines to the sun and to the zenith as shading takes them: its slope t made t' = a t / sqrt(1 + (a t / limit)**2).
+
+    Of a normal n, ``facing`` is n.s and ``upright`` n.u, with s the sun's direction and u up; ``sine`` is s.u.
+    """
+    if upright <= 0.0:
+        return facing, upright
+    flat = np.sqrt(max(1.0 - upright * upright, 0.0))
+    slope = exaggeration * flat / upright
+    steeper = exaggeration / np.sqrt(1.0 + slope * slope / (limit * limit))
+    slope = steeper * flat / upright
+    drawn = 1.0 / np.sqrt(1.0 + slope * slope)
+    return (facing - sine * upright) * steeper * drawn / upright + sine * drawn, drawn
+
+
+@compiled
+def _sky_on_slope(facing, upright, sine, towards):
+    """Factor of the sky's light on a slope, if the share ``towards`` of it comes from 45 degrees over the sun's azimuth: 1 on level
+    ground.
+    """
+    across = (facing - sine * upright) / max(np.sqrt(max(1.0 - sine * sine, 0.0)), LEAST_ACROSS)
+    return max(1.0 + towards * (across + upright - 1.0), LEAST_SKY)
+
+
+@compiled
+def _towards_sun(facing, sine, terminator):
+    """How much direct light falls on a slope: Lambert's cosine, and less where that is below the share ``terminator`` of what
+    level ground has. Facets of a raster that are turned away, beside others that are not, would be seen as dark squares on slopes
+    that the light grazes.
+    """
+    cosine = max(facing, 0.0)
+    share = min(cosine / max(terminator * sine, LEAST_GRAZING), 1.0)
+    return cosine * share * share * (3.0 - 2.0 * share)
+
+
+@compiled
+def _direct_at(sine):
+    """Direct light fades in over the first degree of the sun's altitude at a place."""
+    return min(max(np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))), 0.0), 1.0)
+
+
+@compiled
+def _veil_at(height, aerial, aerial_m):
+    return aerial * np.exp(-max(height, 0.0) / aerial_m)
+
+
+@compiled
+def _shade(shown, look, light_here, centre, glow, albedo, sunlight, skylight, lamplight):
     # What is None is decided when this is compiled: each variant holds the code of what it is given alone.
     there, kind, position, height, normal = shown
-    low, relief, tint = tints
+    tint, greying, towards, terminator, exaggeration, limit, aerial, aerial_m = look
     has_sun, to_sun, sun, sky, night = light_here
     rows, cols = there.shape
     out = np.zeros((rows, cols, 3), np.float32)
@@ -306,92 +365,151 @@ def _shade(shown, tints, light_here, centre, glow, albedo, sunlight, skylight, l
             leaf = glow if kind[i, j] == FOREST else 0.0
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
-            # Direct light fades in over the first degree of the sun's altitude here.
             sine = (to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz) / length if has_sun else -1.0
-            direct = min(max(np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))), 0.0), 1.0) * sunlight[i, j]
+            upright = (n[0] * ux + n[1] * uy + n[2] * uz) / length
+            facing = n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2]
+            seen = 0.5 + 0.5 * upright if skylight is None else skylight[i, j]
+            if has_sun:
+                if kind[i, j] == RELIEF:
+                    facing, upright = _on_slope(facing, upright, sine, exaggeration, limit)
+                seen = seen * _sky_on_slope(facing, upright, sine, towards)
+                if kind[i, j] == RELIEF:
+                    facing = _towards_sun(facing, sine, terminator)
             sky_here = night + (1.0 - night) * dusk_of(sine)
-            facing = max(n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2], 0.0)
-            facing = (leaf + (1.0 - leaf) * facing) * direct
-            if skylight is None:
-                seen = 0.5 + 0.5 * (n[0] * ux + n[1] * uy + n[2] * uz) / length
-            else:
-                seen = skylight[i, j]
-            share = min(max((height[i, j] - low) / relief, 0.0), 1.0) * (tint.shape[0] - 1)
-            at = min(int(share), tint.shape[0] - 2)
+            direct = (leaf + (1.0 - leaf) * max(facing, 0.0)) * (_direct_at(sine) * sunlight[i, j])
+            veil = _veil_at(height[i, j], aerial, aerial_m)
+            red, green, blue = _tinted(height[i, j], tint)
+            if albedo is not None:
+                if np.isfinite(albedo[i, j, 0]):
+                    red, green, blue = albedo[i, j, 0], albedo[i, j, 1], albedo[i, j, 2]
+            own = red, green, blue
+            grey = luminance_of(red, green, blue)
             for k in range(3):
-                light = sun[k] * facing + sky[k] * sky_here * seen
+                light = own[k] * sun[k] * direct + (own[k] + greying * (grey - own[k])) * sky[k] * (sky_here * seen)
                 if lamplight is not None:
-                    light += lamplight[i, j, k]
-                own = tint[at, k] + (tint[at + 1, k] - tint[at, k]) * (share - at)
-                if albedo is not None:
-                    if np.isfinite(albedo[i, j, 0]):
-                        own = albedo[i, j, k]
-                shown = own * light
-                # A shoulder: slopes that face a low sun keep their tint.
-                out[i, j, k] = shown if shown <= 0.5 else 1.0 - 0.25 / shown
+                    light += own[k] * lamplight[i, j, k]
+                light = shoulder(light)
+                out[i, j, k] = light + veil * (AIR[k] * sky_here - light)
     return out
 
 
 @compiled
-def _shade_ground(there, height, normal, sky_share, sunlight, tints, light_here, sines, table, out):
+def _tinted(height, tint):
+    """The ramp's colour at a height."""
+    share = min(max((height - TINT_LOW_M) / TINT_STEP_M, 0.0), TINT_COUNT - 1.0)
+    at = min(int(share), TINT_COUNT - 2)
+    beyond = share - at
+    return (
+        tint[at, 0] + (tint[at + 1, 0] - tint[at, 0]) * beyond,
+        tint[at, 1] + (tint[at + 1, 1] - tint[at, 1]) * beyond,
+        tint[at, 2] + (tint[at + 1, 2] - tint[at, 2]) * beyond,
+    )
+
+
+@compiled
+def _shade_ground(there, height, normal, upright, sky_share, sunlight, look, light_here, up, table, out):
     """``_shade`` of bare ground and ``srgb_encoded`` of that, row by row: in loops that compile to vector instructions, and what is
     looked up in tables between them.
     """
-    low, relief, tint = tints
+    tint, greying, towards, terminator, exaggeration, limit, aerial, aerial_m = look
     _, to_sun, sun, sky, night = light_here
     cols = there.shape[1]
-    direct, sky_here, facing = np.empty(cols), np.ones(cols), np.empty(cols)
+    direct, sky_here, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
+    facing, high, seen, veils = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(TINT_COUNT)
+    as_it_is = exaggeration == 1.0 and limit >= STEEPEST
     beyond, at = np.empty(cols), np.empty(cols, np.int32)
-    own, step = np.empty(cols), np.empty(cols, np.int32)
-    tints_of, rises_of = np.empty((3, len(tint))), np.empty((3, len(tint)))
-    for k in range(3):
-        for n in range(len(tint) - 1):
-            tints_of[k, n], rises_of[k, n] = tint[n, k], tint[n + 1, k] - tint[n, k]
+    own, grey, step = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
+    channels, greys = _by_channel(tint)
+    for n in range(TINT_COUNT):
+        veils[n] = _veil_at(TINT_LOW_M + n * TINT_STEP_M, aerial, aerial_m)
+    high_sine = np.sin(np.radians(HIGH_SUN_DEG))
     for i in range(there.shape[0]):
-        direct[:] = sunlight[i]
-        if sines is not None:
+        sines_of_row(up, i, sines)
+        lowest = sines.min()
+        for j in range(cols):
+            direct[j], sky_here[j] = sunlight[i, j], 1.0
+        if lowest <= high_sine:
             for j in range(cols):
-                sine = sines[i, j]
-                direct[j] *= min(max(np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))), 0.0), 1.0)
-                sky_here[j] = night + (1.0 - night) * dusk_of(sine)
-        _face(normal[i], (to_sun[0], to_sun[1], to_sun[2]), direct, facing)
-        _place_in_tint(height[i], low, relief, tint.shape[0], beyond, at)
+                direct[j] *= _direct_at(sines[j])
+                sky_here[j] = night + (1.0 - night) * dusk_of(sines[j])
+        _face(normal[i], (to_sun[0], to_sun[1], to_sun[2]), facing)
+        high[:] = upright[i]
+        if not as_it_is:
+            _steepen(facing, high, sines, exaggeration, limit)
+        _sky_on_row(facing, high, sines, towards, sky_share[i], sky_here, seen)
+        _sun_on_row(facing, sines, terminator, direct)
+        _place_in_tint(height[i], beyond, at)
+        _look_up_tint(veils, at, beyond, veil)
+        _look_up_tint(greys, at, beyond, grey)
         for k in range(3):
-            _look_up_tint(tints_of[k], rises_of[k], at, beyond, own)
-            _srgb_steps_of(own, sun[k], sky[k], facing, sky_here, sky_share[i], table.size, step)
+            _look_up_tint(channels[k], at, beyond, own)
+            _srgb_steps_of(own, grey, greying, sun[k], sky[k], direct, seen, veil, sky_here, AIR[k], table.size, step)
             _look_up_srgb(there[i], step, table, out[i, :, k])
 
 
 @compiled
-def _face(normal, to_sun, direct, out):
-    """How much of the direct light falls on ground with normals (n, 3)."""
-    for j in range(out.size):
-        facing = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
-        out[j] = max(facing, 0.0) * direct[j]
+def _by_channel(tint):
+    """A ramp's colours (3, n), and their luminances (n,)."""
+    channels, greys = np.empty((3, len(tint))), np.empty(len(tint))
+    for n in range(len(tint)):
+        greys[n] = luminance_of(tint[n, 0], tint[n, 1], tint[n, 2])
+        for k in range(3):
+            channels[k, n] = tint[n, k]
+    return channels, greys
 
 
 @compiled
-def _place_in_tint(height, low, relief, count, beyond, at):
-    """The tint of heights: which of ``count`` colours lies below, and by what share of the way to the next they are beyond."""
+def _face(normal, to_sun, out):
+    """Cosines of normals (n, 3) to the sun."""
+    for j in range(out.size):
+        out[j] = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
+
+
+@compiled
+def _steepen(facing, upright, sines, exaggeration, limit):
+    """``_on_slope`` of a row."""
+    for j in range(facing.size):
+        facing[j], upright[j] = _on_slope(facing[j], upright[j], sines[j], exaggeration, limit)
+
+
+@compiled
+def _sky_on_row(facing, upright, sines, towards, sky_share, sky_here, out):
+    """How much of the sky's light falls on a row's slopes."""
+    for j in range(out.size):
+        out[j] = sky_share[j] * _sky_on_slope(facing[j], upright[j], sines[j], towards) * sky_here[j]
+
+
+@compiled
+def _sun_on_row(facing, sines, terminator, direct):
+    """Take a row's direct light to what falls on its slopes."""
+    for j in range(direct.size):
+        direct[j] *= _towards_sun(facing[j], sines[j], terminator)
+
+
+@compiled
+def _place_in_tint(height, beyond, at):
+    """The tint of heights: which of the ramp's colours lies below, and by what share of the way to the next they are beyond."""
     for j in range(height.size):
-        share = min(max((height[j] - low) / relief, 0.0), 1.0) * (count - 1)
-        at[j] = np.int32(min(share, count - 2.0) if share > 0.0 else 0.0)  # any where there is no ground
+        share = min(max((height[j] - TINT_LOW_M) / TINT_STEP_M, 0.0), TINT_COUNT - 1.0)
+        at[j] = np.int32(min(share, TINT_COUNT - 2.0) if share > 0.0 else 0.0)  # any where there is no ground
         beyond[j] = share - at[j]
 
 
 @compiled
-def _look_up_tint(tints, rises, at, beyond, out):
+def _look_up_tint(tints, at, beyond, out):
     for j in range(at.size):
-        out[j] = tints[at[j]] + rises[at[j]] * beyond[j]
+        here = tints[at[j]]
+        out[j] = here + (tints[at[j] + 1] - here) * beyond[j]
 
 
 @compiled
-def _srgb_steps_of(own, sun, sky, facing, sky_here, sky_share, steps, out):
-    """Which of the table's ``steps`` the colour is that ground shows of light, with a shoulder."""
+def _srgb_steps_of(own, grey, greying, sun, sky, direct, seen, veil, sky_here, air, steps, out):
+    """Which of the table's ``steps`` the colour is that ground shows of light, with a shoulder and the veil of air."""
     many = np.float32(steps)
     for j in range(out.size):
-        shown = own[j] * (sun * facing[j] + sky * sky_here[j] * sky_share[j])
-        linear = np.float32(shown if shown <= 0.5 else 1.0 - 0.25 / shown)
+        shown = own[j] * (sun * direct[j]) + (own[j] + greying * (grey[j] - own[j])) * (sky * seen[j])
+        shown = shown if shown <= SHOULDER else 1.0 - SHOULDER_LEFT**2 / (shown + SHOULDER_LEFT - SHOULDER)
+        linear = np.float32(shown + veil[j] * (air * sky_here[j] - shown))
         step = linear * many
         out[j] = min(np.int32(step if step > 0.0 else 0.0), np.int32(steps - 1))
 
@@ -404,18 +522,16 @@ def _look_up_srgb(there, step, table, out):
 
 
 @compiled
-def _albedo(there, height, albedo, low, relief, tint):
+def _albedo(there, height, albedo, tint):
     rows, cols = there.shape
     out = np.zeros((rows, cols, 3), np.float32)
     for i in range(rows):
         for j in range(cols):
             if not there[i, j]:
                 continue
-            share = min(max((height[i, j] - low) / relief, 0.0), 1.0) * (tint.shape[0] - 1)
-            at = min(int(share), tint.shape[0] - 2)
-            for k in range(3):
-                out[i, j, k] = tint[at, k] + (tint[at + 1, k] - tint[at, k]) * (share - at)
-                if albedo is not None:
-                    if np.isfinite(albedo[i, j, 0]):
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = _tinted(height[i, j], tint)
+            if albedo is not None:
+                if np.isfinite(albedo[i, j, 0]):
+                    for k in range(3):
                         out[i, j, k] = albedo[i, j, k]
     return out

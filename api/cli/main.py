@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -30,7 +30,7 @@ from terrain.errors import InputError, SkuggaError, printable
 from terrain.level.gdal_guard import cap_caches, forbid_code, forbid_remote_reads
 from terrain.level.level import parse_sun
 from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
+from terrain.level.parts import StyleName, SunSpec
 from terrain.whole_files import write_whole
 
 if TYPE_CHECKING:
@@ -63,6 +63,10 @@ AltitudeOption = Annotated[float | None, typer.Option(help="Degrees above the ho
 SizeOption = Annotated[str | None, typer.Option(metavar="WxH", help="Pixels.")]
 BoundsOption = Annotated[str | None, typer.Option(metavar="W,S,E,N", help="In units of the output CRS.")]
 CrsOption = Annotated[str | None, typer.Option(metavar="EPSG", help="Output CRS.")]
+StyleOption = Annotated[str | None, typer.Option(help=f"How relief is shaded: auto, {', '.join(get_args(StyleName))}.")]
+SlopeExaggerationOption = Annotated[
+    float | None, typer.Option(help="Factor of slopes in shading, 0.1 to 20; cast shadows stay true.")
+]
 SecondsOption = Annotated[float | None, typer.Option(help="Clock for moving casters, seconds.")]
 
 
@@ -127,6 +131,8 @@ def render(
     bounds: BoundsOption = None,
     crs: CrsOption = None,
     light: Annotated[str | None, typer.Option(help="The light to show, for layers of one light.")] = None,
+    style: StyleOption = None,
+    slope_exaggeration: SlopeExaggerationOption = None,
     seconds: SecondsOption = None,
     stats: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach as JSON.")
@@ -134,7 +140,7 @@ def render(
     **asked: Any,
 ) -> None:
     """Render one snapshot of a level's view into a file."""
-    from api.cli.snapshot import snapshot, statistics
+    from api.cli.snapshot import Appearance, snapshot, statistics
 
     check_suffix(layer, output)
     check_targets(level, [("--output", output), ("--stats", stats)])
@@ -142,7 +148,8 @@ def render(
     with _progress("Rendering") as advance:
         sun, shape = parse_sun(time, azimuth, altitude), _size(size)
         kept = frozenset(pass_layer for pass_layer in PASS_LAYERS if pass_layer == layer)
-        scene, frame = snapshot(level, view, sun, overrides, shape, _bounds(bounds), crs, advance, seconds, kept)
+        look = Appearance(style, slope_exaggeration)
+        scene, frame = snapshot(level, view, sun, overrides, shape, _bounds(bounds), crs, advance, seconds, kept, look)
     write_layer(scene, frame.under(light), layer, output)
     if stats is not None:
         write_whole(stats, json.dumps(statistics(scene, frame), indent=2) + "\n")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from api.cli.warnings import say_warnings
 from api.device_calibration import calibration_for
@@ -24,6 +24,16 @@ MOST_SECONDS = 1e9
 """Of the clock of moving casters, either way, as in level files."""
 
 
+class Appearance(NamedTuple):
+    """How a picture is to look; ``None``: as the level says."""
+
+    style: str | None = None
+    slope_exaggeration: float | None = None
+
+
+AS_THE_LEVEL_SAYS = Appearance()
+
+
 def snapshot(
     level: Path | LevelSource,
     view: str,
@@ -35,9 +45,11 @@ def snapshot(
     on_block: Callable[[int, int], None] | None = None,
     seconds: float | None = None,
     layers: frozenset[PassLayer] = frozenset(),
+    look: Appearance = AS_THE_LEVEL_SAYS,
 ) -> tuple[Scene, Frame]:
     """The scene and the frame of a level's view, with intermediate ``layers``. Raises ``SkuggaError``."""
     scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
+    scene = scene.with_style(*look)
     device = calibration_for(scene.loaded.level.shadows, overrides)
     plan = plan_of_view(scene, view_value, view, overrides, device=device)
     return scene, render_frame(scene, view_value, plan, on_block, layers)

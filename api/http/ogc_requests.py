@@ -12,7 +12,7 @@ from api.errors import NotServedError
 from api.http.moments import asked_sun
 from api.http.numbers import decimal_in
 from api.http.ogc_times import date_asked, default_date, instant_asked
-from api.http.parameters import TILE_LAYERS, TileQuery
+from api.http.parameters import OWN_STYLE, TILE_LAYERS, TileQuery, style_named
 from api.http.problems import public_error
 from api.http.served_levels import ServedLevel
 from api.http.service import service_of
@@ -22,6 +22,7 @@ from api.workers.block_tiles import map_formats_of
 from api.workers.jobs import PictureRequest
 from terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError
 from terrain.level.parts import SunSpec
+from terrain.style import STYLES
 
 GIS_FORMATS: tuple[MapFormat, ...] = ("png", "webp", "jpg", "tif")
 """Formats that map clients know, the first one of a layer the one to take."""
@@ -64,6 +65,16 @@ class KeyValues:
         if value is not None and number is None:
             raise InputError(name, value, "a number")
         return number
+
+
+STYLED_LAYERS = frozenset({"color"})
+"""Layers that look otherwise in another style."""
+
+
+def styles_of(layer: str) -> dict[str, str]:
+    """The styles of a layer by name, and what they are, the level's own first."""
+    others = {style.name: style.about for style in STYLES.values()} if layer in STYLED_LAYERS else {}
+    return {OWN_STYLE: "Default", **others}
 
 
 def layer_title(level: ServedLevel, layer: str) -> str:
@@ -110,11 +121,17 @@ def sun_at_time(request: Request, level: ServedLevel, asked: KeyValues) -> SunSp
     return asked_sun(request, instant, asked.number("AZIMUTH"), asked.number("ALTITUDE"), grain_s)
 
 
-def shown_asked(request: Request, level: ServedLevel, layer: str, asked: KeyValues) -> TileQuery:
-    """What a layer shows at a request's TIME, or under the sun of its AZIMUTH and ALTITUDE. Raises ``InputError``."""
+def shown_asked(request: Request, level: ServedLevel, layer: str, asked: KeyValues, style_key: str) -> TileQuery:
+    """What a layer shows at a request's TIME, or under the sun of its AZIMUTH and ALTITUDE, in the style of a key.
+
+    Raises ``InputError``.
+    """
     if layer == SUN_HOURS_LAYER:
         return TileQuery(layer, PictureRequest(), sun_hours_asked(level, asked.get("TIME")))
-    return TileQuery(layer, PictureRequest(sun=sun_at_time(request, level, asked)))
+    style = style_named(asked.get(style_key), style_key)
+    if style is not None and layer not in STYLED_LAYERS:
+        raise InputError(style_key, style, OWN_STYLE)
+    return TileQuery(layer, PictureRequest(sun=sun_at_time(request, level, asked), style=style))
 
 
 def this_year() -> int:

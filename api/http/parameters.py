@@ -21,9 +21,10 @@ from api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
 from shadows.registry import served_algorithms
 from terrain.errors import MISSING_VALUE, Fault, InputError
 from terrain.level.level import parse_algorithm
-from terrain.level.parts import SunSpec
+from terrain.level.parts import StyleName, SunSpec
 from terrain.level.setting import Setting
 from terrain.scene import MAX_PERSPECTIVE_PX
+from terrain.style import STYLES
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,38 @@ AzimuthQuery = Annotated[
 ]
 AltitudeQuery = Annotated[float | None, PLAIN_DECIMAL, Query(description="Apparent degrees above the horizon.", examples=[22])]
 
+OWN_STYLE = "default"
+"""The name of a level's own style where map clients want one."""
+
+StyleQuery = Annotated[
+    str | None,
+    Query(
+        description="How relief is shaded: "
+        + "; ".join(f"`{style.name}`: {style.about}" for style in STYLES.values())
+        + f". `{OWN_STYLE}`, or nothing: the level's own.",
+        json_schema_extra={"enum": [OWN_STYLE, *STYLES]},
+        examples=["swiss"],
+    ),
+]
+SlopeExaggerationQuery = Annotated[
+    float | None,
+    PLAIN_DECIMAL,
+    Query(
+        ge=0.1, le=20.0, allow_inf_nan=False, examples=[2],
+        description="Factor of slopes in shading, for flat country; cast shadows stay those of the true ground.",
+    ),
+]  # fmt: skip
+
+
+def style_named(name: str | None, parameter: str = "style") -> StyleName | None:
+    """A style by its name in a request; ``None``: the level's own. Raises ``InputError``."""
+    if name is None or name == OWN_STYLE:
+        return None
+    if name not in STYLES:
+        raise InputError(parameter, name, ", ".join((OWN_STYLE, *STYLES)))
+    return cast(StyleName, name)
+
+
 _NUMBERS: dict[type, tuple[BeforeValidator, ...]] = {int: (PLAIN_WHOLE,), float: (PLAIN_DECIMAL,)}
 
 
@@ -81,11 +114,15 @@ async def picture_query(
     time: TimeQuery = None,
     azimuth: AzimuthQuery = None,
     altitude: AltitudeQuery = None,
+    style: StyleQuery = None,
+    slope_exaggeration: SlopeExaggerationQuery = None,
     **asked: Any,
 ) -> PictureRequest:
     """The dependency for pictures. Raises ``InputError``."""
     sun = asked_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
-    return PictureRequest(sun=sun, overrides=_served(asked))
+    return PictureRequest(
+        sun=sun, style=style_named(style), slope_exaggeration=slope_exaggeration, overrides=_served(asked)
+    )  # fmt: skip
 
 
 async def sun_query(
@@ -250,7 +287,7 @@ async def tile_query(
             raise InputError("layer", layer, ", ".join(TILE_LAYERS))
         for name, value in given.items():
             raise InputError(name, str(value), f"nothing but beside layer={SUN_HOURS_LAYER}")
-        return TileQuery(layer, picture)
+        return TileQuery(layer, picture.of_layer(layer))
     for name in PICTURE_PARAMETERS:
         if name in request.query_params:
             raise InputError(name, request.query_params[name], f"nothing beside layer={SUN_HOURS_LAYER}: it is of a whole date")

@@ -8,8 +8,9 @@ from xml.etree.ElementTree import Element, indent, tostring
 from api.http.ogc_requests import layer_name, layer_title
 from api.http.ogc_times import time_dimension
 from api.http.ogc_xml import add
+from api.http.parameters import OWN_STYLE
 from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
-from api.http.wmts_capabilities import TIME, WMTS_STYLE
+from api.http.wmts_capabilities import TIME
 from api.matrices import matrix_set_of
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from terrain.geo.grid import crs_of_tiles
@@ -66,7 +67,7 @@ def _wmts(level: ServedLevel, layer: str, base_url: str, year: int) -> str:
     return urlencode(
         {
             "crs": _crs_of(qgis_matrix_set(level)), "dpiMode": "7", "format": "image/png", "layers": layer_name(level, layer),
-            "styles": WMTS_STYLE,
+            "styles": OWN_STYLE,
             "tileDimensions": f"{TIME}={time_dimension(level, layer, year).default}", "tileMatrixSet": qgis_matrix_set(level),
             "url": f"{base_url}/levels/{quote(level.name)}/WMTSCapabilities.xml",
         },

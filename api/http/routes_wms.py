@@ -26,6 +26,7 @@ from api.http.ogc_requests import (
     this_year,
 )
 from api.http.ogc_xml import wms_exception
+from api.http.parameters import OWN_STYLE
 from api.http.point_documents import Rows, report_features, report_page, report_rows, report_text
 from api.http.routes_levels import legend_answer
 from api.http.routes_point import of_a_day, run_point
@@ -68,7 +69,7 @@ WMS_KEYS = key_values(
     LAYERS=("Of a map: one layer, as level:layer.", "jacksboro:color"),
     QUERY_LAYERS=("Of `GetFeatureInfo`: one layer, as level:layer.", "jacksboro:color"),
     LAYER=("Of `GetLegendGraphic`: a layer, as level:sunhours.", "jacksboro:sunhours"),
-    STYLES=("`default`, or nothing.", "default"),
+    STYLES=("A style of the layer; `default`, or nothing: the level's own.", "default"),
     STYLE=("Of a legend: `default`, or nothing.", "default"),
     CRS=("A CRS by its code.", "CRS:84"),
     BBOX=("Four numbers, in the order of the CRS's own axes.", "8.38,47.48,8.49,47.55"),
@@ -163,19 +164,13 @@ def _extent(asked: KeyValues) -> tuple[str, CRS, MapBounds, tuple[int, int]]:
     return code, crs, bounds, (width, height)
 
 
-def _check_style(asked: KeyValues, key: str) -> None:
-    if asked.get(key) not in (None, "default"):
-        raise InputError(key, asked.get(key), "nothing, or default")
-
-
 async def _map(request: Request, service: Service, asked: KeyValues) -> Response:
     level, layer = await _layer(service, asked, "LAYERS")
-    _check_style(asked, "STYLES")
     code, _, bounds, size = await run_in_threadpool(_extent, asked)
     format = format_named(asked.need("FORMAT", "a media type, as image/png"))
     if format not in map_formats_of(layer):
         raise InputError("FORMAT", MAP_MEDIA_TYPES[format], f"{map_formats_told(layer)} for layer {layer}")
-    shown = await run_in_threadpool(shown_asked, request, level, layer, asked)
+    shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLES")
     clear = (asked.get("TRANSPARENT") or "FALSE").upper() == "TRUE"
     background = None if clear else _background(asked.get("BGCOLOR") or "0xFFFFFF")
     return await map_answer(request, service, level, MapQuery(bounds, code, size, shown, format, background))
@@ -232,7 +227,8 @@ async def _legend(request: Request, service: Service, asked: KeyValues) -> Respo
     level, layer = await _layer(service, asked, "LAYER")
     if layer != SUN_HOURS_LAYER:
         raise InputError("LAYER", asked.get("LAYER"), f"a layer with a legend: {SUN_HOURS_LAYER}")
-    _check_style(asked, "STYLE")
+    if asked.get("STYLE") not in (None, OWN_STYLE):
+        raise InputError("STYLE", asked.get("STYLE"), f"nothing, or {OWN_STYLE}")
     media_type = asked.get("FORMAT") or LEGEND_MEDIA[0]
     if media_type not in LEGEND_MEDIA:
         raise InputError("FORMAT", media_type, ", ".join(LEGEND_MEDIA))

@@ -11,9 +11,10 @@ from api.http.answers import base_url, document_answer
 from api.http.documented import LEVEL_ERRORS, WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
 from api.http.ogc_requests import KeyValues, exception_answer, format_named, shown_asked, split_layer, this_year
 from api.http.ogc_xml import ows_exception
+from api.http.parameters import OWN_STYLE
 from api.http.routes_tiles import EMPTY_DOCS, tile_answer
 from api.http.service import Service, TheService
-from api.http.wmts_capabilities import WMTS_STYLE, WMTS_VERSION, wmts_capabilities
+from api.http.wmts_capabilities import WMTS_VERSION, wmts_capabilities
 from api.layers import MAP_MEDIA_TYPES
 from api.matrices import matrix_set_of
 from terrain.errors import InputError, SkuggaError, UnsupportedError
@@ -58,7 +59,7 @@ WMTS_KEYS = key_values(
     VERSION=("`1.0.0`, or nothing.", WMTS_VERSION),
     REQUEST=("`GetCapabilities` or `GetTile`; the other keys are of tiles.", "GetTile"),
     LAYER=("As level:layer.", "jacksboro:color"),
-    STYLE=("`default`, or nothing.", WMTS_STYLE),
+    STYLE=("A style of the layer; `default`, or nothing: the level's own.", OWN_STYLE),
     TILEMATRIXSET=("A tile matrix set by its name.", "WebMercatorQuad"),
     TILEMATRIX=("A matrix of the set: mostly the zoom.", "11"),
     TILEROW=("Row of the tile, from the north.", "800"),
@@ -102,8 +103,6 @@ async def wmts_by_keys(request: Request, service: TheService) -> Response:
 
 async def _tile_by_keys(request: Request, service: Service, asked: KeyValues) -> Response:
     level_name, layer = split_layer("LAYER", asked.need("LAYER", "a layer, as level:color"))
-    if asked.get("STYLE") not in (None, WMTS_STYLE):
-        raise InputError("STYLE", asked.get("STYLE"), WMTS_STYLE)
     matrix_set = asked.need("TILEMATRIXSET", "a tile matrix set, as WebMercatorQuad")
     tiled = matrix_set_of(matrix_set)
     matrices = {matrix.id: zoom for zoom, matrix in enumerate(tiled.tileMatrices, tiled.minzoom)}
@@ -115,7 +114,7 @@ async def _tile_by_keys(request: Request, service: Service, asked: KeyValues) ->
     level = await service.level(level_name)
     if level.world.flat:
         raise UnsupportedError("LAYER", f"{level_name}:{layer}", "an engineering CRS is not georeferenced, so there are no tiles")
-    shown = await run_in_threadpool(shown_asked, request, level, layer, asked)
+    shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLE")
     return await tile_answer(request, service, level_name, matrix_set, place, 1, format, shown)
 
 

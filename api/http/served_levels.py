@@ -30,6 +30,7 @@ from terrain.level.level_source import LevelSource
 from terrain.level.linked_files import is_remote
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene, with_own_sun
+from terrain.style import STYLES
 
 DEFAULT_MATRIX_SET = "WebMercatorQuad"
 
@@ -43,8 +44,8 @@ class ServedLevel:
     ``bounds`` is what is looked at, ``data_bounds`` all of the raster: west, south, east, north in degrees, ``None`` in
     a flat world. ``zooms`` are by tile matrix set, ``view_sizes`` (width, height) in pixels by view (``map`` is among them
     whether the level names it or not), ``None`` for a view that cannot be drawn. ``map_crs`` is that of maps that name none,
-    ``lowest_m`` the height of its lowest ground. ``warnings`` are sentences on what may be wrong with it. ``files`` are those that
-    it hangs on, its own first, each with its stamp when it was read.
+    ``lowest_m`` the height of its lowest ground, ``style`` the name of its own style. ``warnings`` are sentences on what may be
+    wrong with it. ``files`` are those that it hangs on, its own first, each with its stamp when it was read.
     """
 
     loaded: LoadedLevel
@@ -57,6 +58,7 @@ class ServedLevel:
     view_sizes: dict[str, tuple[int, int] | None]
     map_crs: CRS
     lowest_m: float
+    style: str
     warnings: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
     stamps: tuple[Stamp, ...] = ()
@@ -121,6 +123,8 @@ class ServedLevel:
             "view_kinds": {name: {"kind": view.kind, "size": self.view_sizes[name]} for name, view in level.views.items()},
             "lights": {name: {"kind": kind} for name, kind in kinds.items()},
             "layers": list(PICTURE_LAYERS),
+            "styles": list(STYLES),
+            "style": self.style,
             "map_layers": [*MAP_LAYERS, SUN_HOURS_LAYER],
             "algorithms": list(served_algorithms()),
             "sun": sun,
@@ -330,7 +334,7 @@ def _served(
         log.warning("level %s: %s", loaded.name, text)
     return ServedLevel(
         loaded, origin, version, world, bounds, data_bounds, zooms, view_sizes, scene.map_crs, scene.height_range_m[0],
-        scene.warnings, files, stamps,
+        scene.style.name, scene.warnings, files, stamps,
     )  # fmt: skip
 
 

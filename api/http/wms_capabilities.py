@@ -11,7 +11,7 @@ from pyproj import CRS
 from api.color_scale import LEGEND_MEDIA_TYPES, LEGEND_SIZE_PX
 from api.http.map_extents import bounds_in, crs_of_code, north_first
 from api.http.moments import OWN_TIME
-from api.http.ogc_requests import gis_formats, layer_name, layer_title
+from api.http.ogc_requests import gis_formats, layer_name, layer_title, styles_of
 from api.http.ogc_times import time_dimension
 from api.http.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
 from api.http.parameters import TILE_LAYERS
@@ -108,9 +108,10 @@ def _level(top: Element, level: ServedLevel, base_url: str, address: str, year: 
         add(element, "Dimension", times.span, name="time", units="ISO8601", **default)
         if level.loaded.level.attribution:
             add(add(element, "Attribution"), "Title", level.loaded.level.attribution)
-        style = add(element, "Style")
-        add(style, "Name", "default")
-        add(style, "Title", "Default")
+        for name, about in styles_of(layer).items():
+            style = add(element, "Style")
+            add(style, "Name", name)
+            add(style, "Title", f"{about[:1].upper()}{about[1:]}")
         if layer == SUN_HOURS_LAYER:
             legend = add(style, "LegendURL", width=str(LEGEND_SIZE_PX[0]), height=str(LEGEND_SIZE_PX[1]))
             add(legend, "Format", "image/png")

@@ -9,10 +9,10 @@ from xml.etree.ElementTree import Element
 from morecantile import TileMatrixSet
 from pyproj import CRS
 
-from api.http.ogc_requests import gis_formats, layer_name, layer_title
+from api.http.ogc_requests import gis_formats, layer_name, layer_title, styles_of
 from api.http.ogc_times import time_dimension
 from api.http.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
-from api.http.parameters import TILE_LAYERS
+from api.http.parameters import OWN_STYLE, TILE_LAYERS
 from api.http.served_levels import ServedLevel
 from api.layers import LAYERS, MAP_MEDIA_TYPES
 from api.matrices import matrix_set_of, tile_limits
@@ -21,7 +21,6 @@ from terrain.geo.grid import crs_of_tiles
 
 WMTS_VERSION = "1.0.0"
 
-WMTS_STYLE = "default"
 
 TIME = "Time"
 """The dimension: the variable in the templates of addresses has its name."""
@@ -77,8 +76,10 @@ def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, yea
     add(box, "ows:UpperCorner", written((east, north)))
     add(element, "ows:Identifier", layer_name(level, layer))
     address = f"{base_url}/levels/{quote(level.name)}"
-    style = add(element, "Style", isDefault="true")
-    add(style, "ows:Identifier", WMTS_STYLE)
+    for name, about in styles_of(layer).items():
+        style = add(element, "Style", **({"isDefault": "true"} if name == OWN_STYLE else {}))
+        add(style, "ows:Title", f"{about[:1].upper()}{about[1:]}")
+        add(style, "ows:Identifier", name)
     if layer == SUN_HOURS_LAYER:
         add(style, "LegendURL", format="image/png", xlink_href=legend_url(level, layer, f"{base_url}/wms", year))
     for format in gis_formats(layer):
@@ -125,6 +126,8 @@ def hangs_on_time(layer: str) -> bool:
 def _query_of(layer: str) -> Iterable[str]:
     if layer != "color":
         yield f"layer={layer}"
+    if len(styles_of(layer)) > 1:
+        yield "style={Style}"
     if hangs_on_time(layer):
         yield f"{'date' if layer == SUN_HOURS_LAYER else 'time'}={{{TIME}}}"
 

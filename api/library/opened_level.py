@@ -87,16 +87,19 @@ class OpenLevel:
         bounds: Bounds | None = None,
         crs: str | None = None,
         seconds: float | None = None,
+        style: str | None = None,
+        slope_exaggeration: float | None = None,
         **shadows: Any,
     ) -> np.ndarray:
         """A layer of one of the level's views: uint8 (rows, cols, 4) of ``color`` and ``shadow``, (rows, cols) of ``mask``; else as
         ``skugga render --help`` tells.
 
         The sun is that of a ``time`` (with an offset from UTC, or datetime64 in UTC), or of ``azimuth`` and ``altitude``, degrees;
-        else the level's own. ``size`` is (columns, rows); ``bounds`` are west, south, east, north in ``crs``. ``shadows`` are the
-        keys of a level's ``shadows``, as ``algorithm="shadow_volume"``. Raises ``SkuggaError``.
+        else the level's own. ``size`` is (columns, rows); ``bounds`` are west, south, east, north in ``crs``. ``style`` is a named
+        one, ``slope_exaggeration`` multiplies slopes in shading alone. ``shadows`` are the keys of a level's ``shadows``, as
+        ``algorithm="shadow_volume"``. Raises ``SkuggaError``.
         """
-        scene = self._scene.with_sun(_sun(time, azimuth, altitude)).at_second(seconds)
+        scene = self._scene.with_sun(_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration).at_second(seconds)
         seen = scene.view(view, bounds, crs, size)
         device = calibration_for(scene.loaded.level.shadows, shadows)
         plan = plan_of_view(scene, seen, view, shadows, device=device)

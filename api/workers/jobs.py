@@ -17,7 +17,7 @@ from api.sun_hours_layer import SunHoursQuery
 from terrain.errors import InputError, RenderError, SkuggaError
 from terrain.level.level import Shadows, override, parse_algorithm
 from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
+from terrain.level.parts import SlopeExaggeration, StyleName, SunSpec
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
@@ -63,14 +63,20 @@ def _unspelt(asked: Iterable[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class PictureRequest(_Value):
-    """What a request asks whatever the view: of the sun (``None``: the level's own) and of the shadows.
+    """What a request asks whatever the view: of the sun (``None``: the level's own), of how it looks (likewise) and of the shadows.
 
     Jobs carry it whole, and entity tags and caches of plans know all of it: a field more needs nothing but its line in
     ``seen``.
     """
 
     sun: SunSpec | None = None
+    style: StyleName | None = None
+    slope_exaggeration: SlopeExaggeration | None = None
     overrides: RequestedSettings = RequestedSettings()
+
+    def of_layer(self, layer: str) -> PictureRequest:
+        """The same for a layer: all but colours look alike in every style."""
+        return self if layer == "color" else self.model_copy(update={"style": None, "slope_exaggeration": None})
 
     def query(self, **more: str) -> str:
         """The same as a query string, with other parameters before it; empty where nothing is asked."""
@@ -79,7 +85,7 @@ class PictureRequest(_Value):
 
     def seen(self, scene: Scene) -> Scene:
         """A level's scene as the request wants to see it."""
-        return scene.with_sun(self.sun)
+        return scene.with_sun(self.sun).with_style(self.style, self.slope_exaggeration)
 
 
 class LevelKey(LevelSource):

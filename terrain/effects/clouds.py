@@ -276,6 +276,7 @@ def _direct_share(scene: Scene) -> float:
     bare = low == high and scene.objects.kinds == ("relief",)
     direct = light.sun * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
     sky = light.sky * (night + (1.0 - night) * float(dusk_of(sine))) * (1.0 if bare else SEEN_LEAST)
+    sky = sky * (1.0 - scene.style.sky_greying)  # a colour that is all one channel's is greyed by so much there
     return float((direct / (direct + sky)).max())
 
 

@@ -35,7 +35,7 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
 from terrain.scene import Scene
-from terrain.shading import daylight_of, sky_colors
+from terrain.shading import daylight_of, shoulder, sky_colors
 from terrain.srgb import srgb_of_linear
 
 CONTRAST = 0.02
@@ -147,7 +147,7 @@ def _white_in_sun(scene: Scene) -> np.ndarray:
     if scene.loaded.level.water is not None:
         return np.ones(3)
     shown = daylight_of(scene).sun
-    return np.where(shown <= 0.5, shown, 1.0 - 0.25 / np.maximum(shown, 0.5))
+    return np.array([shoulder(each) for each in shown])
 
 
 def _shows_from_m(scene: Scene, visibility_m: float) -> float:

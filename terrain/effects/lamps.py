@@ -21,7 +21,7 @@ from terrain.geo.grid import MapView
 from terrain.ground.visible_cells import CellRange, block_slices, visible_cells
 from terrain.lights import CONE_EDGE, Lamp
 from terrain.scene import Scene
-from terrain.shading import LEAF_GLOW, daylight_of, dusk_of, exposure_of, night_of
+from terrain.shading import LEAF_GLOW, LEAST_SKY, daylight_of, dusk_of, exposure_of, night_of
 from terrain.srgb import srgb_of_linear
 
 NAMED_LAMPS = 8
@@ -102,13 +102,14 @@ def _light_on(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_
 def _least_light(scene: Scene) -> float:
     """The least light, falling on white, that can change an 8-bit channel by more than three quarters of a step.
 
-    Least light shows most where there is least else: ground has a quarter of the sky's by itself even in a gorge, the undersides
-    of meshes none. White shows it most, since what a colour c makes of a light changes as c to the power of 0.42.
+    Least light shows most where there is least else: ground has a quarter of the sky's by itself even in a gorge, less on the side
+    that is turned away from the sun, the undersides of meshes none. White shows it most, since what a colour c makes of a light
+    changes as c to the power of 0.42.
     """
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
     night = night_of(scene)
     sky = float(daylight_of(scene).sky.min()) * (night + (1.0 - night) * dusk_of(sine))
-    least = 0.25 * sky if "meshes" not in scene.objects.kinds else 0.0
+    least = 0.25 * (1.0 if scene.sun is None else LEAST_SKY) * sky if "meshes" not in scene.objects.kinds else 0.0
     more = np.geomspace(1e-6, 1.0, 256)
     return float(more[np.argmax(srgb_of_linear(least + more) - srgb_of_linear(np.array(least)) > 0.75 * CHANNEL_STEP)])
 

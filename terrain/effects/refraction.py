@@ -19,8 +19,8 @@ from terrain.geo.grid import MapView
 from terrain.scene import Scene
 from terrain.shading import exposure_of
 
-SRGB_SLOPE = 2.5
-"""Slope of sRGB at a linear value of 0.05."""
+SRGB_SLOPE = 3.5
+"""Slope of sRGB at a linear value of 0.03: white ground on a slope that sees half of the sky, and its dark side."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:

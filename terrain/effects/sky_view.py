@@ -25,7 +25,8 @@ from terrain.ground.sky_view_factor import SkyView, hidden_on, pyramid_level, sk
 from terrain.ground.surface import map_pixel_m
 from terrain.ground.visible_cells import block_slices, visible_cells
 from terrain.scene import Scene
-from terrain.shading import daylight_of, dusk_of, night_of, srgb_encoded, tint_table
+from terrain.shading import daylight_of, dusk_of, in_shade, look_of, most_sky, night_of, srgb_encoded
+from terrain.style import tint_table
 
 COMPARED_SHADES = 4096
 """Shades that are compared, from black to the brightest: as many as the table of sRGB has in all."""
@@ -57,7 +58,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         hidden = _largest_shown(scene, view, baked)
     else:
         hidden = 0.0 if coarse_view is None else _largest_seen(baked, coarse_view)
-    return {"hidden": hidden, "steps": float(darkened_steps(brightest(scene), hidden))}
+    return {"hidden": hidden, "steps": float(darkened_steps(brightest(scene, view), hidden))}
 
 
 def _largest_shown(scene: Scene, view: MapView, baked: SkyView) -> float:
@@ -77,14 +78,15 @@ def darkened_steps(light: float, hidden: float) -> int:
     return int((srgb_encoded(shades).astype(int) - srgb_encoded(shades * (1.0 - hidden))).max())
 
 
-def brightest(scene: Scene) -> float:
+def brightest(scene: Scene, view: MapView | PerspectiveView) -> float:
     """The brightest linear colour of ground under the whole sky alone: of tints, or of white where a level shows other things."""
     level = scene.loaded.level
     plain = scene.objects.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
-    albedo = tint_table().max(axis=0) if plain else np.ones(3)
+    tints = tint_table(scene.style.ramp)
+    albedo = in_shade(tints, look_of(scene, view)).max(axis=0) if plain else np.ones(3)
     night = night_of(scene)
     day = 0.0 if scene.highest_sun_deg is None else float(dusk_of(np.sin(np.radians(scene.highest_sun_deg))))
-    return float((albedo * daylight_of(scene).sky).max()) * (night + (1.0 - night) * day)
+    return float((albedo * daylight_of(scene).sky).max()) * most_sky(scene) * (night + (1.0 - night) * day)
 
 
 def _times_halved(scene: Scene, view: MapView, baked: SkyView) -> float:

@@ -39,11 +39,13 @@ from terrain.level.level import SUN
 from terrain.scene import Scene
 from terrain.shading import (
     SHORE_M,
-    WATER_ALBEDO,
     daylight_of,
     dusk_of,
     exposure_of,
+    in_shade,
+    look_of,
     night_of,
+    shoulder,
     sky_colors,
     srgb_encoded,
     water_in,
@@ -109,10 +111,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     covers = scene.elevation.overview.lowest_m <= water_m + SHORE_M
     if isinstance(view, MapView):
         covers = covers and _wet_at(scene, view)
-        change = _change_steps(scene, np.array([1.0])) if covers else None
+        change = _change_steps(scene, view, np.array([1.0])) if covers else None
     elif covers and coarse_view is not None:
         cosines = _cosines(scene, view, coarse_view)
-        change = _change_steps(scene, cosines) if len(cosines) else None
+        change = _change_steps(scene, view, cosines) if len(cosines) else None
     return {"level_m": water_m, "covers": covers, "change_steps": change, "glint": change is not None and glints(scene, view)}
 
 
@@ -185,7 +187,7 @@ def _between(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np
     return points[:0]
 
 
-def _change_steps(scene: Scene, cosines: np.ndarray) -> int:
+def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.ndarray) -> int:
     """By how many 8-bit steps the mirrored sky changes water at the most, seen under zenith angles of these cosines (n,).
 
     Tried on colours from the darkest that water may have (in shadow, half the sky hidden) to the brightest (in the sun and the
@@ -195,9 +197,10 @@ def _change_steps(scene: Scene, cosines: np.ndarray) -> int:
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
     sky = light.sky * (night + (1.0 - night) * dusk_of(sine))
     draped = scene.loaded.level.terrain.imagery is not None
-    darkest, brightest = (0.0, 1.0) if draped else (np.array(WATER_ALBEDO), np.array(WATER_ALBEDO))
+    own = np.array(scene.style.water)
+    darkest, brightest = (0.0, 1.0) if draped else (in_shade(own, look_of(scene, view)), own)
     dark, bright = OPEN_SKY * sky * darkest, (sky + light.sun * max(sine, 0.0) + _lamplight(scene)) * brightest
-    bright = np.where(bright <= 0.5, bright, 1.0 - 0.25 / np.maximum(bright, 0.5))  # as the shading does
+    bright = np.array([shoulder(each) for each in bright])
     cosine = np.quantile(cosines, np.linspace(0.0, 1.0, ANGLES))
     shown = (dark + (bright - dark) * np.linspace(0.0, 1.0, SHADES)[:, None, None] ** 2).astype(np.float32)
     shown = np.ascontiguousarray(np.broadcast_to(shown, (SHADES, ANGLES, 3)))

@@ -30,6 +30,7 @@ from terrain.level.parts import (
     MapSpec,
     MeshSpec,
     Model,
+    StyleSpec,
     SunSpec,
     Terrain,
     ViewSpec,
@@ -176,6 +177,7 @@ class Level(Model):
     sun: SunSpec | Literal["none"] | None = None  # a low one of the level's own place: ``terrain.own_sun``
     lights: dict[LightName, LightSpec] = {}
     weather: Weather = Weather()
+    style: StyleSpec = StyleSpec()
     seconds: float = Field(default=0.0, ge=-1e9, le=1e9)
     views: dict[str, ViewSpec] = {"map": MapSpec(kind="map")}
     shadows: LevelShadows = LevelShadows()
@@ -190,6 +192,11 @@ class Level(Model):
             if name in reserved:
                 raise PydanticCustomError("light", "names other than {taken}", {"taken": ", ".join(reserved)})
         return value
+
+    @field_validator("style", mode="before")
+    @classmethod
+    def _by_name(cls, value: Any) -> Any:
+        return {"name": value} if isinstance(value, str) else value
 
     @field_validator("archive")
     @classmethod

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from datetime import datetime
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
@@ -173,6 +174,38 @@ class Weather(Model):
     def overcast(self) -> bool:
         """Whether clouds cover the whole sky, so that no direct sun arrives."""
         return self.cloud_cover >= 1.0
+
+
+StyleName = Literal["natural", "swiss", "grey", "urban", "analysis"]
+"""Named styles: ``terrain.style.STYLES``."""
+
+SlopeExaggeration = Annotated[float, Field(ge=0.1, le=20)]
+
+RAMP_WORDS = "pairs of a height in metres and a colour as '#b3c2a2', heights rising"
+
+
+class StyleSpec(Model):
+    """How relief is shaded: a named style (``auto``: by the ground), in a file also by its name alone.
+
+    ``ramp`` goes before the style's own colours: heights in metres and sRGB colours. ``slope_exaggeration`` multiplies slopes in
+    shading; cast shadows stay those of the true ground.
+    """
+
+    name: Literal["auto"] | StyleName = "auto"
+    ramp: tuple[tuple[Annotated[float, Field(ge=-12000, le=10000)], str], ...] | None = None
+    slope_exaggeration: SlopeExaggeration = 1.0
+
+    @field_validator("ramp")
+    @classmethod
+    def _rising(cls, value: tuple[tuple[float, str], ...] | None) -> tuple[tuple[float, str], ...] | None:
+        if value is None:
+            return None
+        heights = [height for height, _ in value]
+        if not value or not all(low < high for low, high in pairwise(heights)):
+            raise PydanticCustomError("ramp", RAMP_WORDS)
+        if not all(re.fullmatch("#[0-9a-fA-F]{6}", color) for _, color in value):
+            raise PydanticCustomError("ramp", RAMP_WORDS)
+        return value
 
 
 class ForestSpec(Model):

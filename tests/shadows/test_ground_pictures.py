@@ -69,6 +69,19 @@ def test_they_show_what_geometry_buffers_do(gl, hills, azimuth, altitude, zoom, 
     assert [each.name for each in shown.passes] == plan.passes
 
 
+@pytest.mark.parametrize(("style", "exaggeration"), [("swiss", 2.5), ("urban", None), ("analysis", None)])
+@pytest.mark.parametrize("altitude", [4.0, 22.0])
+def test_they_have_a_styles_colours(gl, hills, style, exaggeration, altitude):
+    """Slopes that are exaggerated or limited, the veil of air, Lambert's law alone."""
+    scene = hills(225.0, altitude).with_style(style, exaggeration)
+    view = view_of(scene, 12)
+    plan = plan_of(scene, view)
+    shown, frame = _ground_picture(scene, view, plan), render_frame(scene, view, plan)
+    assert shown is not None and _ground_alone(scene, view, plan)
+    apart = np.abs(shown.color.astype(int) - frame.color)
+    assert apart.max() <= 1 and (apart > 0).mean() <= MOST_DIFFERING
+
+
 def test_shadow_is_in_them(gl, hills):
     """The comparison sees something: opacity from none to all, and colours of many heights."""
     shown = shown_map(scene := hills(225.0, 22.0), view := view_of(scene, 13), plan_of(scene, view))

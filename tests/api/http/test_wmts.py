@@ -39,7 +39,7 @@ ORDER = {
         "Title", "Abstract", "WGS84BoundingBox", "Identifier", "Style", "Format", "Dimension", "TileMatrixSetLink", "ResourceURL",
     ],
     "Dimension": ["Identifier", "UOM", "Default", "Value"],
-    "Style": ["Identifier", "LegendURL"],
+    "Style": ["Title", "Identifier", "LegendURL"],
     "TileMatrixSetLink": ["TileMatrixSet", "TileMatrixSetLimits"],
     "TileMatrixLimits": ["TileMatrix", "MinTileRow", "MaxTileRow", "MinTileCol", "MaxTileCol"],
     "TileMatrixSet": ["Identifier", "SupportedCRS", "WellKnownScaleSet", "TileMatrix"],
@@ -191,6 +191,7 @@ def test_templates_lead_to_tiles(client: Client, root: ElementTree.Element):
         time = element.findtext("w:Dimension/w:Default", "", NAMES)
         for each in templates:
             variables = {"TileMatrixSet": "WebMercatorQuad", "TileMatrix": ZOOM, "TileCol": X, "TileRow": Y, "Time": time}
+            variables["Style"] = element.findtext("w:Style[@isDefault='true']/o:Identifier", "", NAMES)
             address = each.get("template", "").format(**variables)
             if layer == "sunhours":  # a block of it takes long to draw: its tag says that it would be drawn
                 assert client.get(address, headers={"If-None-Match": "*"}).status_code == 304, address
@@ -199,7 +200,7 @@ def test_templates_lead_to_tiles(client: Client, root: ElementTree.Element):
             assert answer.status_code == 200 and answer.headers["content-type"] == each.get("format"), address
     angles = layer_of(root, "hills:color").find("w:ResourceURL", NAMES)
     assert angles is not None and angles.get("template", "").endswith(
-        "/{TileMatrixSet}/{TileMatrix}/{TileCol}/{TileRow}.png?time={Time}"
+        "/{TileMatrixSet}/{TileMatrix}/{TileCol}/{TileRow}.png?style={Style}&time={Time}"
     )
     assert client.get(f"{TILE}?time=default").content == client.get(TILE).content
 

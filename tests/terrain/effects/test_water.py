@@ -18,7 +18,7 @@ from terrain.effects.effect import ShadingBlock
 from terrain.gbuffer.picture import geometry_of
 from terrain.ground.elevation import Elevation
 from terrain.level.parts import SunSpec
-from terrain.shading import WATER_ALBEDO, albedo_of, water_in
+from terrain.shading import albedo_of, water_in
 
 UTM = "EPSG:32633"
 LEVEL_M = 100.0
@@ -125,8 +125,8 @@ def test_the_shore_is_round_and_painted_to_it(make_lake):
     buffer = geometry_of(scene, scene.view("map", size=(800, 600)))
     wet = water_in(buffer, scene)
     albedo = albedo_of(buffer, scene)
-    np.testing.assert_allclose(albedo[wet], np.broadcast_to(WATER_ALBEDO, albedo[wet].shape), atol=1e-6)
-    assert not np.isclose(albedo[~wet & buffer.there], WATER_ALBEDO, atol=1e-3).all(axis=-1).any()
+    np.testing.assert_allclose(albedo[wet], np.broadcast_to(scene.style.water, albedo[wet].shape), atol=1e-6)
+    assert not np.isclose(albedo[~wet & buffer.there], scene.style.water, atol=1e-3).all(axis=-1).any()
     area_m2 = wet.sum() * 100.0 / 100.0
     assert area_m2 == pytest.approx(np.pi * (LEVEL_M - 60.0) / 0.06 * 100.0, rel=0.02)
 

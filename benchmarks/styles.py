@@ -1,0 +1,113 @@
+"""Every named style side by side: mountains, a city, a plain and a forest, at noon and in the evening, as maps and in perspective.
+
+    python -m benchmarks.styles FOLDER -o OUT [--picture docs/images/styles.webp] [--side 480]
+
+FOLDER has the sample rasters. Into OUT go a sheet of all styles for each place and light, to be looked at; ``--picture`` writes the
+one that the docs show.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from api.catalogue import find_level
+from selector.select import plan_of_view
+from shadows.render import render_frame
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+from terrain.style import STYLES
+
+LIGHTS = {"noon": SunSpec(azimuth=195.0, altitude=48.0), "evening": SunSpec(azimuth=255.0, altitude=13.0)}
+
+
+@dataclass(frozen=True)
+class Place:
+    """A level of a raster of the folder, or a bundled one, and what is shown: a view, and of a map the share of its middle."""
+
+    source: str
+    view: str = "map"
+    middle: float = 1.0
+    keys: dict[str, Any] = field(default_factory=dict)
+
+
+PLACES = {
+    "mountains": Place("mountain/grenoble_copernicus_4326.tif", middle=0.6),
+    "high mountains": Place("mountain/vinschgau_250m_utm32.tif"),
+    "city": Place("urban/goteborg_1m/DSM.tif"),
+    "plain": Place("odd/texas_flat_3arcsec_4326.tif", keys={"style": {"slope_exaggeration": 3}}),
+    "forest": Place(
+        "forest/quebec_DTM.tif", middle=0.5, keys={"forest": [{"source": "forest/quebec_CHM.tif", "species": "conifer"}]}
+    ),
+    "valley, in perspective": Place("jacksboro_wooded", view="valley"),
+    "village, in perspective": Place("jacksboro_wooded", view="village"),
+}
+
+SHOWN = ("high mountains", "city")
+"""Places of the docs' picture, in the evening."""
+
+
+def scene_of(place: Place, folder: Path, scratch: Path) -> Scene:
+    """A place's level, read from a file that is written for it."""
+    if "/" not in place.source:
+        return build_scene(load_level(find_level(place.source)))
+    keys = json.loads(json.dumps(place.keys).replace('"forest/', f'"{folder}/forest/'))
+    level = scratch / "level.yaml"
+    level.write_text(json.dumps({"version": 1, "terrain": {"source": str(folder / place.source)}, **keys}), encoding="utf-8")
+    return build_scene(load_level(level))
+
+
+def picture(scene: Scene, place: Place, style: str, light: SunSpec, side: int) -> np.ndarray:
+    """A place in a style under a sun: uint8 (rows, cols, 3), ``side`` pixels wide, white where there is nothing."""
+    scene = scene.with_sun(light).with_style(style)
+    view = scene.view(place.view)
+    if place.view == "map":
+        west, south, east, north = view.bounds
+        x, y, reach = (west + east) / 2, (south + north) / 2, place.middle * min(east - west, north - south) / 2
+        view = scene.view("map", (x - reach, y - reach, x + reach, y + reach), scene.map_crs.to_string(), (side, side))
+    else:
+        view = scene.view(place.view, size=(side, round(side * view.rows / view.cols)))
+    frame = render_frame(scene, view, plan_of_view(scene, view, place.view, {}))
+    return np.where(frame.opaque[..., None], frame.color, np.uint8(255))
+
+
+def sheet(folder: Path, name: str, light: str, side: int) -> Image.Image:
+    """All styles of a place under a light, side by side."""
+    place = PLACES[name]
+    with tempfile.TemporaryDirectory() as scratch:
+        scene = scene_of(place, folder, Path(scratch))
+        parts = [picture(scene, place, style, LIGHTS[light], side) for style in STYLES]
+    return Image.fromarray(np.concatenate(parts, axis=1))
+
+
+def main() -> None:
+    """Write the sheets."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, metavar="FOLDER")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
+    parser.add_argument("--picture", type=Path)
+    parser.add_argument("--side", type=int, default=480)
+    parser.add_argument("--places", nargs="*", default=list(PLACES), choices=list(PLACES))
+    asked = parser.parse_args()
+    asked.output.mkdir(parents=True, exist_ok=True)
+    for name in asked.places:
+        for light in LIGHTS:
+            target = asked.output / f"{name.replace(', ', '-').replace(' ', '-')}-{light}.png"
+            sheet(asked.folder.resolve(), name, light, asked.side).save(target)
+            print(f"{target}: {', '.join(STYLES)}", flush=True)
+    if asked.picture is not None:
+        rows = [np.asarray(sheet(asked.folder.resolve(), name, "evening", 320)) for name in SHOWN]
+        Image.fromarray(np.concatenate(rows)).save(asked.picture, quality=88, method=6)
+        print(asked.picture)
+
+
+if __name__ == "__main__":
+    main()

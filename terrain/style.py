@@ -1,0 +1,163 @@
+"""Styles: the colours and the light of shaded relief. A style changes how a picture looks, never where a shadow falls.
+
+**Tint.** The ground's colour goes by its height in metres, the same in every level: two maps side by side agree. The lightness of
+a ramp (CIE L*) never falls with height, so that higher ground is lighter ground.
+
+**Light.** Direct sunlight is warm and skylight blue, as outdoors. In the sky's light alone, colours lose some of their saturation,
+so that shadows are bluish and not a dark shade of the ground's own colour (E. Imhof, Cartographic Relief Presentation, 1965,
+chapters 9 and 13). A clear sky is brighter on the sun's side: slopes in shadow that face it get more of its light than others,
+which keeps relief readable inside of a cast shadow.
+
+**Aerial perspective.** Contrast grows with height: low ground lies under a thin veil of air (Imhof, chapter 13). In maps alone; in
+a perspective view the air lies between the eye and the ground (``terrain.effects.haze``).
+
+**Slopes.** Shading may exaggerate slopes for flat country, or limit them, where the edges of buildings are slopes of a raster and
+would be drawn as black and white rims. Cast shadows go by the true ground in both cases.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import ValidationError
+
+from terrain.cache import MIB, cached
+from terrain.errors import InputError
+from terrain.level.level import Level
+from terrain.level.parts import StyleSpec
+from terrain.srgb import linear_of_srgb
+
+Ramp = tuple[tuple[float, str], ...]
+
+TINT_LOW_M, TINT_STEP_M, TINT_COUNT = -512.0, 8.0, 1193
+"""Heights at which a ramp is tabulated: -512 to 9,024 m. Beyond them its colours stay as they are."""
+
+FINE_CELL_M = 2.5
+"""Ground of smaller cells, and without a forest, is taken to be a city's surface."""
+
+EXAGGERATION_POWER, MOST_EXAGGERATION = 0.25, 3.0
+"""How slopes grow with the side of a map's pixels beyond ``exaggerates_from_m``, and by how much at the most."""
+
+STEEPEST = 1e3
+"""A limit of slopes that limits none."""
+
+
+@dataclass(frozen=True)
+class Style:
+    """How relief is shaded.
+
+    Attributes
+    ----------
+    ramp
+        Heights, metres above the level's zero, rising, and the sRGB colour of the ground there.
+    water
+        Linear albedo (3,) of standing water in a map.
+    sunlight, skylight
+        Linear colours (3,) of direct light and of the sky's.
+    sky_greying
+        How far colours go towards grey of the same luminance in the sky's light, 0 to 1.
+    sky_towards_sun
+        How much of the sky's light comes from the sun's side, 0 to 1.
+    terminator
+        Share of the direct light of level ground below which slopes go softly over into attached shadow; 0: Lambert's law alone.
+    aerial, aerial_m
+        Share of the veil at the height 0, and the height above it over which this falls to 1/e.
+    slope_exaggeration, slope_limit
+        Factor of slopes in shading, and the slope (a tangent) that they approach then.
+    exaggerates_from_m
+        Side of a map's pixels, metres, from which on slopes are exaggerated more: those of a country's map are means over whole
+        valleys, and too gentle to be seen.
+    """
+
+    name: str
+    about: str
+    ramp: Ramp
+    water: tuple[float, float, float] = (0.102, 0.246, 0.392)
+    sunlight: tuple[float, float, float] = (1.0, 0.95, 0.86)
+    skylight: tuple[float, float, float] = (0.62, 0.76, 1.0)
+    sky_greying: float = 0.6
+    sky_towards_sun: float = 0.75
+    terminator: float = 0.5
+    aerial: float = 0.0
+    aerial_m: float = 1500.0
+    slope_exaggeration: float = 1.0
+    slope_limit: float = STEEPEST
+    exaggerates_from_m: float = 60.0
+
+    def slope_exaggeration_at(self, pixel_m: float) -> float:
+        """Factor of slopes in a map with pixels of a side, metres."""
+        coarse = (pixel_m / self.exaggerates_from_m) ** EXAGGERATION_POWER
+        return self.slope_exaggeration * float(np.clip(coarse, 1.0, MOST_EXAGGERATION))
+
+
+STYLES = {
+    style.name: style
+    for style in (
+        Style(
+            "natural", "colours of land by its height, soft bluish shadows",
+            ((0.0, "#a9be98"), (250.0, "#b7c79f"), (600.0, "#c7cea4"), (1100.0, "#d5d2aa"), (1700.0, "#dad2b0"),
+             (2400.0, "#dcd3bd"), (3100.0, "#e0d9ce"), (3800.0, "#e9e6e1"), (4600.0, "#f6f6f6"), (6000.0, "#fdfdfe")),
+            aerial=0.06,
+        ),
+        Style(
+            "swiss", "after Swiss relief maps: warm light, violet-blue shade, air over the valleys",
+            ((0.0, "#a9bdb4"), (400.0, "#b6c7b2"), (900.0, "#c9d2b4"), (1600.0, "#dcdabb"), (2400.0, "#ebe3c8"),
+             (3200.0, "#f6efdd"), (4200.0, "#fffdf6")),
+            sunlight=(1.0, 0.93, 0.76), skylight=(0.60, 0.68, 1.0), sky_greying=0.7, sky_towards_sun=0.8, aerial=0.22,
+            slope_exaggeration=1.25,
+        ),
+        Style(
+            "grey", "neutral grey, as a base for other colours",
+            ((0.0, "#e3e3e3"),),
+            water=(0.36, 0.36, 0.36), sunlight=(1.0, 1.0, 1.0), skylight=(0.78, 0.78, 0.78), sky_greying=1.0,
+        ),
+        Style(
+            "urban", "light stone for streets and roofs; the edges of buildings are not exaggerated",
+            ((0.0, "#e4e0d8"),),
+            sky_greying=0.8, sky_towards_sun=0.3, slope_limit=0.7,
+        ),
+        Style(
+            "analysis", "white ground, plain Lambert's law, even blue shadow: to look at the shadows themselves",
+            ((0.0, "#f4f4f4"),),
+            sunlight=(1.0, 1.0, 1.0), skylight=(0.42, 0.60, 1.0), sky_greying=1.0, sky_towards_sun=0.0,
+            terminator=0.0, exaggerates_from_m=np.inf,
+        ),
+    )
+}  # fmt: skip
+"""The named styles."""
+
+
+def style_of(level: Level, spec: StyleSpec, cell_m: float) -> Style:
+    """The style that is asked for; ``auto`` is ``urban`` on a raster of fine cells or upright blocks without a forest, else
+    ``natural``.
+    """
+    name = spec.name
+    if name == "auto":
+        fine = level.terrain.surface == "blocks" or (level.terrain.source is not None and cell_m < FINE_CELL_M)
+        name = "urban" if fine and not level.forest else "natural"
+    style = STYLES[name]
+    if spec.ramp is not None:
+        style = replace(style, ramp=spec.ramp)
+    return replace(style, slope_exaggeration=style.slope_exaggeration * spec.slope_exaggeration)
+
+
+def styled(own: StyleSpec, name: str | None, slope_exaggeration: float | None) -> StyleSpec:
+    """A level's style with what a request asks of it (``None`` asks for nothing). Raises ``InputError``."""
+    changes = {"name": name, "slope_exaggeration": slope_exaggeration}
+    changes = {key: value for key, value in changes.items() if value is not None}
+    try:
+        return StyleSpec.model_validate({**(own.model_dump(exclude={"ramp"} if name is not None else set())), **changes})
+    except ValidationError as error:
+        detail = error.errors()[0]
+        key = str(detail["loc"][0])
+        allowed = ", ".join(("auto", *STYLES)) if key == "name" else detail["msg"].removeprefix("Input should be ")
+        raise InputError("style" if key == "name" else key, changes[key], allowed) from None
+
+
+@cached("process", MIB)
+def tint_table(ramp: Ramp) -> np.ndarray:
+    """Linear colours (n, 3) of a ramp at ``TINT_LOW_M + k * TINT_STEP_M``, between its heights mixed in sRGB."""
+    heights = TINT_LOW_M + TINT_STEP_M * np.arange(TINT_COUNT)
+    colors = np.array([[int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for _, text in ramp])
+    return linear_of_srgb(np.stack([np.interp(heights, [height for height, _ in ramp], colors[:, k]) for k in range(3)], axis=1))

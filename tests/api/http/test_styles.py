@@ -1,0 +1,117 @@
+"""Styles over HTTP: of tiles, maps and snapshots, as WMS and WMTS name them, and what does not hang on them."""
+
+import io
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from morecantile import tms as matrix_sets
+from PIL import Image
+
+from terrain.style import STYLES
+from tests.api.conftest import CORNER, ZOOM, Client
+
+X, Y = CORNER
+TILE = f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{X}/{Y}.png"
+BOUNDS = matrix_sets.get("WebMercatorQuad").xy_bounds(X, Y, ZOOM)
+WMS = {
+    "SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetMap", "LAYERS": "hills:color", "CRS": "EPSG:3857", "FORMAT": "image/png",
+    "BBOX": ",".join(map(str, BOUNDS)), "WIDTH": "256", "HEIGHT": "256", "TRANSPARENT": "TRUE",
+}  # fmt: skip
+WMTS = {
+    "SERVICE": "WMTS", "REQUEST": "GetTile", "VERSION": "1.0.0", "LAYER": "hills:color", "FORMAT": "image/png",
+    "TILEMATRIXSET": "WebMercatorQuad", "TILEMATRIX": str(ZOOM), "TILECOL": str(X), "TILEROW": str(Y),
+}  # fmt: skip
+
+
+def pixels(answer) -> np.ndarray:
+    assert answer.status_code == 200, answer.text
+    return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGBA"))
+
+
+def test_each_style_is_another_picture_of_the_same_ground(client: Client):
+    pictures = {name: pixels(client.get(TILE, params={"style": name})) for name in STYLES}
+    own = client.get("/levels/hills").json()["style"]
+    assert np.array_equal(pictures[own], pixels(client.get(TILE)))
+    assert len({picture.tobytes() for picture in pictures.values()}) == len(STYLES)
+    assert len({picture[..., 3].tobytes() for picture in pictures.values()}) == 1, "the same ground is there"
+    grey = pictures["grey"][..., :3].astype(int)
+    assert np.ptp(grey, axis=-1).max() <= 1
+
+
+def test_the_levels_own_style_has_a_name(client: Client):
+    level = client.get("/levels/hills").json()
+    assert level["styles"] == list(STYLES) and level["style"] in STYLES
+    assert client.get(TILE, params={"style": "default"}).headers["etag"] == client.get(TILE).headers["etag"]
+
+
+def test_shadows_have_no_style(client: Client):
+    for layer in ("shadow", "mask"):
+        plain, styled = (
+            client.get(TILE, params={"layer": layer, **more}) for more in ({}, {"style": "swiss", "slope_exaggeration": 4})
+        )
+        assert plain.headers["etag"] == styled.headers["etag"] and plain.content == styled.content
+
+
+def test_slopes_are_exaggerated_on_request(client: Client):
+    """Of ground that is lit in the same way as shown by the mask, light is spread wider."""
+    high = {"azimuth": 235, "altitude": 60, "style": "analysis"}
+    plain, steep = (pixels(client.get(TILE, params={**high, **more}))[..., 0] for more in ({}, {"slope_exaggeration": 3}))
+    lit = pixels(client.get(TILE, params={**high, "layer": "mask"}))[..., 0] == 255
+    assert lit.mean() > 0.2 and steep[lit].std() > 1.3 * plain[lit].std()
+
+
+def test_maps_and_snapshots_have_styles(client: Client):
+    for address in ("/levels/hills/map.png?width=128", "/levels/hills/snapshot.png?size=96x96"):
+        plain, grey = (client.get(f"{address}&style={name}") for name in ("swiss", "grey"))
+        assert plain.headers["etag"] != grey.headers["etag"]
+        assert np.ptp(pixels(grey)[..., :3].astype(int), axis=-1).max() <= 1
+
+
+def test_wms_and_wmts_name_them(client: Client):
+    for name in ("swiss", "analysis"):
+        tile = client.get(TILE, params={"style": name})
+        apart = np.abs(pixels(client.get("/wms", params={**WMS, "STYLES": name})).astype(int) - pixels(tile))
+        assert apart.max() <= 1 and (apart > 0).mean() < 1e-3, "drawn by the geometry buffer, and without"
+        assert client.get("/wmts", params={**WMTS, "STYLE": name}).content == tile.content
+    for address, key in (("/wms", "STYLES"), ("/wmts", "STYLE")):
+        asked = WMS if address == "/wms" else WMTS
+        refused = client.get(address, params={**asked, key: "pretty"})
+        assert refused.status_code == 422 or refused.status_code == 400
+        assert "swiss" in refused.text and key in refused.text
+        layer = {"LAYERS" if address == "/wms" else "LAYER": "hills:mask"}
+        assert client.get(address, params={**asked, **layer, key: "swiss"}).status_code in (400, 422), "a mask has one style"
+
+
+def test_capabilities_list_the_styles_of_colours_alone(client: Client):
+    w, t = {"w": "http://www.opengis.net/wms"}, {"t": "http://www.opengis.net/wmts/1.0", "o": "http://www.opengis.net/ows/1.1"}
+    wms = ElementTree.fromstring(client.get("/wms?SERVICE=WMS&REQUEST=GetCapabilities").content)
+    wmts = ElementTree.fromstring(client.get("/wmts/1.0.0/WMTSCapabilities.xml").content)
+    found = {
+        layer.findtext("w:Name", "", w): [style.findtext("w:Name", "", w) for style in layer.iterfind("w:Style", w)]
+        for layer in wms.iter(f"{{{w['w']}}}Layer")
+    }
+    assert found["hills:color"] == ["default", *STYLES] and found["hills:mask"] == ["default"]
+    of_tiles = {
+        layer.findtext("o:Identifier", "", t): [style.findtext("o:Identifier", "", t) for style in layer.iterfind("t:Style", t)]
+        for layer in wmts.iter(f"{{{t['t']}}}Layer")
+    }
+    assert of_tiles["hills:color"] == ["default", *STYLES] and of_tiles["hills:shadow"] == ["default"]
+    color = next(each for each in wmts.iter(f"{{{t['t']}}}Layer") if each.findtext("o:Identifier", "", t) == "hills:color")
+    template = color.find("t:ResourceURL", t).get("template")
+    assert "style={Style}" in template
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "allowed"),
+    [
+        ("style", "pretty", "swiss"),
+        ("slope_exaggeration", "0", "0.1"),
+        ("slope_exaggeration", "a", "number"),
+        ("style", "", "swiss"),
+    ],
+)
+def test_what_is_no_style_is_told(client: Client, name: str, value: str, allowed: str):
+    answer = client.get(TILE, params={name: value})
+    assert answer.status_code == 422
+    assert name in answer.text and allowed in answer.text

@@ -1,0 +1,260 @@
+"""Styles: what they make of ground and light, by closed forms; and that none moves a shadow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shadows.render import render_frame
+from terrain.errors import InputError, LevelError
+from terrain.gbuffer.picture import geometry_of
+from terrain.scene import Scene
+from terrain.shading import (
+    LEAST_SKY,
+    LEVEL_GROUND,
+    SHOULDER,
+    SKY_SHARE,
+    _on_slope,
+    _sky_on_slope,
+    _towards_sun,
+    luminance_of,
+    shade,
+    shoulder,
+)
+from terrain.srgb import linear_of_srgb
+from terrain.style import STYLES, TINT_LOW_M, TINT_STEP_M, tint_table
+from tests.render import plan_of
+
+UTM = "EPSG:32633"
+X0, Y0 = 450_000.0, 6_000_000.0
+
+
+def lightness(linear: np.ndarray) -> np.ndarray:
+    """CIE L* of linear sRGB (n, 3), white 100."""
+    y = linear @ np.array([0.2126, 0.7152, 0.0722])
+    return np.where(y > (6 / 29) ** 3, 116.0 * np.cbrt(y) - 16.0, y * (29 / 3) ** 3)
+
+
+def plane(write_raster, make_scene, east_rise: float, azimuth: float, altitude: float, base_m: float = 300.0, **keys) -> Scene:
+    """Ground that rises by ``east_rise`` per metre to the east, 60 x 60 cells of 10 m."""
+    heights = np.broadcast_to(base_m + east_rise * 10.0 * (np.arange(60) - 30), (60, 60)).astype(np.float32)
+    return make_scene(write_raster(heights, UTM, X0, Y0, 10.0), azimuth, altitude, **keys)
+
+
+def middle(scene: Scene, sunlight: float) -> np.ndarray:
+    """Linear colour (3,) in the middle of a map, of which the sun lights a share."""
+    buffer = geometry_of(scene, scene.view(size=(60, 60)))
+    return shade(buffer, scene, np.full(buffer.there.shape, sunlight, np.float32))[30, 30].astype(float)
+
+
+def color_of(scene: Scene) -> np.ndarray:
+    view = scene.view(size=(60, 60))
+    return render_frame(scene, view, plan_of(scene, view)).color
+
+
+# -- colours
+
+
+@pytest.mark.parametrize("name", STYLES)
+def test_higher_ground_is_no_darker(name):
+    assert (np.diff(lightness(tint_table(STYLES[name].ramp))) > -1e-9).all()
+
+
+@pytest.mark.parametrize("name", STYLES)
+def test_a_ramp_has_its_colours_at_its_heights(name):
+    table, ramp = tint_table(STYLES[name].ramp), STYLES[name].ramp
+    for height, color in ramp:
+        expected = linear_of_srgb(np.array([int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]))
+        at = (height - TINT_LOW_M) / TINT_STEP_M
+        low, share = int(at), at - int(at)
+        np.testing.assert_allclose(table[low] + share * (table[low + 1] - table[low]), expected, atol=4e-3)
+
+
+def test_a_height_has_one_colour_in_every_level(write_raster, make_scene):
+    """Not stretched over the level: 300 m looks the same below peaks of 4,000 m."""
+    colors = []
+    for peak in (320.0, 4000.0):
+        heights = np.full((60, 60), 300.0, np.float32)
+        heights[0, 0] = peak
+        scene = make_scene(write_raster(heights, UTM, X0, Y0, 10.0), 180.0, 60.0, effects={"sky_view": "off"}, style="natural")
+        colors.append(color_of(scene)[40:, 40:])
+    assert np.array_equal(*colors) and colors[0].any()
+
+
+def test_grey_is_grey(write_raster, make_scene):
+    color = color_of(plane(write_raster, make_scene, 0.2, 250.0, 20.0, style="grey")).astype(int)
+    assert np.ptp(color, axis=-1).max() <= 1
+
+
+@pytest.mark.parametrize("name", ["natural", "swiss", "urban", "analysis"])
+@pytest.mark.parametrize("base_m", [50.0, 800.0, 3000.0])
+def test_shadows_are_bluish(write_raster, make_scene, name, base_m):
+    """Whatever the ground's own colour: blue is the strongest channel of level ground in shadow, and it is darker than lit."""
+    scene = plane(write_raster, make_scene, 1e-4, 200.0, 30.0, base_m, style=name)
+    dark, lit = middle(scene, 0.0), middle(scene, 1.0)
+    assert dark[2] > dark[1] and dark[2] > dark[0]
+    assert lightness(dark[None])[0] < 0.8 * lightness(lit[None])[0]
+
+
+def test_an_own_ramp_goes_before_the_styles(write_raster, make_scene):
+    scene = plane(
+        write_raster, make_scene, 1e-4, 180.0, 60.0, style={"name": "analysis", "ramp": [[0, "#ff0000"], [600, "#0000ff"]]}
+    )
+    lit = middle(scene, 1.0)
+    assert lit[0] == pytest.approx(lit[2], rel=0.25) and lit[1] < 0.3 * lit[0], "half the way from red to blue, and greyed sky"
+    assert (middle(scene.with_style("analysis"), 1.0) > 0.5).all(), "a named style comes without it"
+
+
+# -- light
+
+
+def test_level_ground_keeps_its_brightness(write_raster, make_scene):
+    """Level, lit, white ground shows LEVEL_GROUND of white under each sun down to the floor; the sky alone gives its part."""
+    for altitude in (20.0, 45.0, 85.0):
+        scene = plane(
+            write_raster,
+            make_scene,
+            1e-5,
+            180.0,
+            altitude,
+            effects={"sky_view": "off"},
+            style={"name": "analysis", "ramp": [[0, "#ffffff"]]},
+        )
+        sky = LEVEL_GROUND * SKY_SHARE / (1.0 + SKY_SHARE) * np.array(STYLES["analysis"].skylight)
+        np.testing.assert_allclose(middle(scene, 0.0), sky, rtol=2e-3)
+        np.testing.assert_allclose(
+            middle(scene, 1.0), [shoulder(LEVEL_GROUND / (1.0 + SKY_SHARE) + each) for each in sky], rtol=2e-3
+        )
+
+
+def test_the_shoulder_is_smooth_and_never_white():
+    x = np.linspace(0.0, 20.0, 20001)
+    y = np.array([shoulder(each) for each in x])
+    assert np.array_equal(y[x <= SHOULDER], x[x <= SHOULDER]) and (np.diff(y) > 0).all() and y.max() < 1.0
+    assert np.abs(np.diff(np.diff(y))).max() < 1e-5, "no edge where it begins"
+
+
+def test_slopes_in_shadow_that_face_the_sun_get_more_of_the_sky(write_raster, make_scene):
+    """By the closed form: 1 + k (a + cos s - 1), with a = sin s towards the sun, of the sky's own share."""
+    slope = np.arctan(0.5)
+    towards, away = (
+        middle(plane(write_raster, make_scene, rise, 270.0, 20.0, effects={"sky_view": "off"}, style="grey"), 0.0)[0]
+        for rise in (0.5, -0.5)  # the one that rises eastwards faces west
+    )
+    k = STYLES["grey"].sky_towards_sun
+    factors = [max(1.0 + k * (side * np.sin(slope) + np.cos(slope) - 1.0), LEAST_SKY) for side in (1.0, -1.0)]
+    assert towards / away == pytest.approx(factors[0] / factors[1], rel=0.02)
+    assert towards > 1.5 * away
+
+
+def test_the_skys_factor_is_one_on_level_ground_and_never_none():
+    for sine in (-0.1, 0.0, 0.3, 0.9, 1.0):
+        assert _sky_on_slope(sine, 1.0, sine, 0.8) == pytest.approx(1.0)
+        assert _sky_on_slope(-1.0, 0.0, sine, 1.0) >= LEAST_SKY
+
+
+def test_slopes_are_exaggerated_as_tangents():
+    """A plane that rises t per metre towards the sun, a times as steep: its normal is (-a t, 1) of unit length."""
+    altitude = np.radians(25.0)
+    sun = np.array([np.cos(altitude), np.sin(altitude)])
+    for t in (-1.5, -0.2, 0.0, 0.3, 2.0):
+        for a in (0.5, 1.0, 4.0):
+            normal, wanted = (np.array([-rise, 1.0]) / np.hypot(rise, 1.0) for rise in (t, a * t))
+            facing, upright = _on_slope(normal @ sun, normal[1], sun[1], a, 1e9)
+            assert (facing, upright) == pytest.approx((wanted @ sun, wanted[1]), abs=1e-12)
+        _, limited = _on_slope(normal @ sun, normal[1], sun[1], 100.0, 0.7)
+        assert limited >= np.cos(np.arctan(0.7)) - 1e-12, "no slope is drawn steeper than the limit"
+
+
+def test_attached_shadow_begins_softly_and_level_ground_stays_as_it_is():
+    for sine in (0.05, 0.5, 1.0):
+        facing = np.linspace(-0.2, 1.0, 1201)
+        given = np.array([_towards_sun(each, sine, 0.5) for each in facing])
+        assert np.array_equal(given[facing >= 0.5 * sine], facing[facing >= 0.5 * sine]) and (np.diff(given) >= 0).all()
+        assert (given[facing <= 0.0] == 0.0).all() and (given <= np.maximum(facing, 0.0)).all()
+        assert np.array_equal(np.array([_towards_sun(each, sine, 0.0) for each in facing]), np.maximum(facing, 0.0)), (
+            "Lambert's law"
+        )
+
+
+def test_air_takes_contrast_from_low_ground_in_maps_alone(write_raster, make_scene):
+    """The same slope at the sea and at 4,000 m: lit and dark are nearer below. In perspective there is no such veil."""
+    contrast = {}
+    for base_m in (10.0, 4000.0):
+        scene = plane(write_raster, make_scene, 0.05, 250.0, 20.0, base_m, style={"name": "swiss", "ramp": [[0, "#cccccc"]]})
+        contrast[base_m] = middle(scene, 1.0)[1] - middle(scene, 0.0)[1]
+    assert contrast[10.0] / contrast[4000.0] == pytest.approx(
+        (1 - STYLES["swiss"].aerial * np.exp(-10 / 1500)) / (1 - STYLES["swiss"].aerial * np.exp(-4000 / 1500)), rel=0.01
+    )
+
+
+def test_slopes_grow_with_the_size_of_pixels_and_no_more_than_thrice():
+    style = STYLES["natural"]
+    assert [style.slope_exaggeration_at(each) for each in (1.0, 60.0)] == [1.0, 1.0]
+    assert style.slope_exaggeration_at(960.0) == pytest.approx(2.0) and style.slope_exaggeration_at(1e6) == 3.0
+    assert STYLES["analysis"].slope_exaggeration_at(1e6) == 1.0
+
+
+# -- what a style does not change
+
+
+@pytest.mark.parametrize("exaggeration", [None, 6.0])
+@pytest.mark.parametrize("name", STYLES)
+def test_no_style_moves_a_shadow(gl, write_raster, make_scene, name, exaggeration):
+    rng = np.random.default_rng(3)
+    heights = (500.0 + 60.0 * rng.normal(size=(60, 60)).cumsum(axis=0)).astype(np.float32)
+    scene = make_scene(write_raster(heights, UTM, X0, Y0, 30.0), 235.0, 25.0)
+    other, view = scene.with_style(name, exaggeration), scene.view(size=(90, 90))
+    frames = [render_frame(each, view, plan_of(each, view)) for each in (scene, other)]
+    assert np.array_equal(frames[0].visibility, frames[1].visibility, equal_nan=True)
+    assert np.array_equal(frames[0].opacity, frames[1].opacity)
+    if other.style != scene.style:
+        assert not np.array_equal(frames[0].color, frames[1].color)
+
+
+def test_luminance_is_that_of_the_standard():
+    assert luminance_of(1.0, 1.0, 1.0) == pytest.approx(1.0)
+    assert luminance_of(0.0, 1.0, 0.0) > luminance_of(1.0, 0.0, 0.0) > luminance_of(0.0, 0.0, 1.0)
+
+
+# -- which one
+
+
+def test_fine_ground_without_a_forest_is_a_city(write_raster, make_scene, tmp_path):
+    heights = np.zeros((60, 60), np.float32)
+    heights[20:40, 20:40] = 9.0
+    fine, coarse = write_raster(heights, UTM, X0, Y0, 1.0), None
+    assert make_scene(fine).style.name == "urban"
+    assert make_scene(fine, style="natural").style.name == "natural"
+    forest = [{"source": str(tmp_path / "trees.geojson"), "density": 100, "height": [9, 12]}]
+    (tmp_path / "trees.geojson").write_text('{"type": "FeatureCollection", "features": []}')
+    assert make_scene(fine, forest=forest).style.name == "natural"
+    coarse = write_raster(heights, UTM, X0, Y0, 30.0)
+    assert make_scene(coarse).style.name == "natural"
+    assert make_scene(coarse, terrain={"surface": "blocks"}).style.name == "urban"
+
+
+@pytest.mark.parametrize(
+    ("style", "message"),
+    [
+        ("pretty", "style: .pretty. is not allowed; allowed: .*swiss"),
+        ({"name": "swiss", "ramp": []}, "heights rising"),
+        ({"ramp": [[100, "#ffffff"], [0, "#000000"]]}, "heights rising"),
+        ({"ramp": [[0, "white"]]}, "as '#b3c2a2'"),
+        ({"slope_exaggeration": 0}, "style.slope_exaggeration"),
+        ({"colour": "swiss"}, "style.colour"),
+    ],
+)
+def test_a_style_that_is_none_is_told(write_raster, make_scene, style, message):
+    raster = write_raster(np.zeros((5, 5), np.float32), UTM, X0, Y0, 10.0)
+    with pytest.raises(LevelError, match=message):
+        make_scene(raster, style=style)
+
+
+def test_a_requests_style_is_told_by_its_parameter(write_raster, make_scene):
+    scene = plane(write_raster, make_scene, 0.1, 180.0, 30.0)
+    with pytest.raises(InputError, match="style: .pretty. is not allowed; allowed: .*swiss") as refused:
+        scene.with_style("pretty")
+    assert "natural" in str(refused.value)
+    with pytest.raises(InputError, match="slope_exaggeration"):
+        scene.with_style(None, 0.0)
