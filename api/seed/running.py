@@ -27,8 +27,8 @@ FEW_FILES = 100
 
 HEARD_EVERY_S = 1.0
 
-LONGEST_STRETCH, SHARES = 16, 4
-"""Tasks that a lane is given at once, at most; and into how many such parts for each lane what is left is divided at least."""
+LONGEST_STRETCH, STRETCHES_LEFT = 16, 4
+"""Tasks that a lane is given at once, at most; and how many such stretches for each lane there are in what is left, at least."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class WaitingTasks:
         own = self._lanes.setdefault(lane, deque())
         if not own and self._left:
             # Shorter ones towards the end: the heaviest are to be begun first, whoever is free.
-            count = min(max(len(self._left) // (SHARES * len(self._lanes)), 1), LONGEST_STRETCH)
+            count = min(max(len(self._left) // (STRETCHES_LEFT * len(self._lanes)), 1), LONGEST_STRETCH)
             own.extend(self._left.popleft() for _ in range(count))
         return own.popleft() if own else max(self._lanes.values(), key=len).pop()
 
