@@ -92,11 +92,11 @@ class Idle:
     def __init__(self) -> None:
         self._given: deque[Task] = deque()
 
-    def free(self) -> int:
+    def free(self) -> Sequence[int]:
         """As the protocol says."""
-        return 2000 - len(self._given)
+        return [0] * (2000 - len(self._given))
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task, lane: int) -> None:
         """As the protocol says."""
         self._given.append(task)
 

@@ -9,6 +9,7 @@ import typer
 
 from api.cli.level_argument import takes_level
 from api.cli.options import with_shadow_options
+from api.seed.messages import LEAST_LIMIT_S
 from terrain.level.level_source import LevelSource
 
 
@@ -56,6 +57,15 @@ def seed(
         int | None, typer.Option(metavar="N", min=0, help="Draw nothing if more tasks than these would run.")
     ] = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try tasks that failed again.")] = False,
+    task_timeout: Annotated[
+        float,
+        typer.Option(
+            metavar="S",
+            min=1.0,
+            help="Seconds after which a render process that has not finished a task is ended, and another one tries; of tasks that "
+            "are expected to take more than a hundredth of that, a hundred times as long.",
+        ),
+    ] = LEAST_LIMIT_S,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON: with --dry-run the outlook, else what was done.")] = False,
     **asked: Any,
 ) -> None:
@@ -66,6 +76,6 @@ def seed(
 
     options = SeedOptions(
         output, zooms, layer, format, time, times, start, end, step, azimuth, altitude, workers, scheduler, work, shards, dry_run,
-        max_tasks, retry_failed, as_json,
+        max_tasks, retry_failed, task_timeout, as_json,
     )  # fmt: skip
     seed_level(level, options, asked)

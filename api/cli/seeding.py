@@ -7,7 +7,7 @@ import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import typer
 from rich import box
@@ -35,6 +35,9 @@ from shadows.registry import served_algorithms
 from terrain.errors import InputError
 from terrain.level.level import parse_algorithm, parse_sun
 from terrain.level.level_source import LevelSource
+
+if TYPE_CHECKING:
+    from api.seed.dask_cluster import DaskCluster
 
 TABLE = "tasks.sqlite"
 LOG = "log.jsonl"
@@ -65,6 +68,7 @@ class SeedOptions:
     dry_run: bool
     max_tasks: int | None
     retry_failed: bool
+    task_timeout: float
     as_json: bool
 
 
@@ -99,7 +103,7 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
                 return
             done = draw_and_publish(
                 table, run, store, shards, outputs, lambda: workers.begin(run, shards), shown.note, options.max_tasks,
-                options.retry_failed,
+                options.retry_failed, options.task_timeout,
             )  # fmt: skip
         finally:
             workers.close()
@@ -107,25 +111,29 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
 
 
 class _Workers:
-    """What draws, here or on a cluster, by the options."""
+    """What draws, here or on a cluster, by the options: render processes that warm up until a run is begun."""
 
     def __init__(self, options: SeedOptions) -> None:
         self._count, self._scheduler = options.workers or cores(), options.scheduler
-        self._warm: LocalPool | None = None
+        self._warm: LocalPool | DaskCluster | None = None
 
     def warm_up(self) -> None:
-        """Start processes of this machine, if they are to draw."""
+        """Start processes, here or on the cluster. Raises ``InputError`` where there is no cluster."""
         if self._scheduler is None:
             self._warm = LocalPool(self._count)
+        else:
+            from api.seed.dask_cluster import DaskCluster
+
+            self._warm = DaskCluster(self._scheduler)
 
     def begin(self, run: PlannedRun, shards: str) -> Runner:
         """What draws a run."""
-        if self._scheduler is not None:
-            from api.seed.dask_cluster import DaskCluster
-
-            return DaskCluster(run.spec, shards, self._scheduler)
-        pool, self._warm = self._warm or LocalPool(self._count), None
-        return pool.begin(run.spec, shards)
+        if self._warm is None:
+            self.warm_up()
+        assert self._warm is not None
+        runner = self._warm.begin(run.spec, shards)
+        self._warm = None
+        return runner
 
     def close(self) -> None:
         """End what was started, and has not begun a run: that ends its own."""

@@ -1,7 +1,7 @@
 """Tasks drawn by a Dask cluster: https://distributed.dask.org.
 
 Dask hands out tasks, each a few numbers, and gets back where their tiles went: pictures go to the shards' place and never through
-the graph. Every Dask worker keeps one render process, for an OpenGL context may not move between threads.
+the graph. What runs on Dask's workers is ``dask_worker``'s.
 """
 
 from __future__ import annotations
@@ -10,16 +10,14 @@ import asyncio
 import concurrent.futures
 import hashlib
 import logging
+import secrets
 import time as clock
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from queue import Empty, Queue
-from threading import Lock
 from typing import TYPE_CHECKING, Any
 
-from api.seed.messages import Begun, Drawn, NotDrawn, Task
-from api.seed.render_process import RenderProcess, threads_of_one
+from api.seed.messages import Drawn, NotDrawn, Task
 from api.seed.storage import store_at
 from terrain.errors import GraphicsError, InputError, RenderError
 
@@ -42,18 +40,22 @@ log = logging.getLogger("skugga")
 
 
 class DaskCluster:
-    """The workers of a cluster, by the address of its scheduler. Raises ``InputError`` where there is none."""
+    """The workers of a cluster, by the address of its scheduler: their render processes warm up until a run is begun, and those of
+    workers that come later as soon as they come. Raises ``InputError`` where there is no scheduler.
+    """
 
-    def __init__(self, spec: RunSpec, shards: str, address: str, nobody_s: float = NOBODY_S) -> None:
+    def __init__(self, address: str, nobody_s: float = NOBODY_S) -> None:
         try:
             import distributed
+
+            from api.seed import dask_worker
         except ImportError:
             raise InputError("--scheduler", address, "pip install 'skugga[cluster]'") from None
         self._distributed: Any = distributed
-        self._address, self._shards, self._nobody_s = address, shards, nobody_s
-        content = spec.model_dump_json().encode()
-        self._spec = f"run-{hashlib.blake2b(content, digest_size=8).hexdigest()}.json"
-        store_at(shards).write(self._spec, content)
+        self._on_worker: Any = dask_worker
+        self._plugin = f"skugga-{secrets.token_hex(8)}"
+        self._address, self._nobody_s = address, nobody_s
+        self._run: tuple[str, str] | None = None
         self._running: dict[int, tuple[Task, Any]] = {}
         self._news: Queue[tuple[int, Any]] = Queue()
         self._refused: dict[str, str] = {}
@@ -63,20 +65,29 @@ class DaskCluster:
             self._client: Any = self._distributed.Client(address, timeout=10.0, set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError("--scheduler", address, f"the address of a Dask scheduler that answers ({_short(error)})") from None
+        self._warm_up()
 
-    def free(self) -> int:
-        """As the protocol says."""
-        return max(AHEAD * len(self._able()) - len(self._running), 0)
+    def begin(self, spec: RunSpec, shards: str) -> DaskCluster:
+        """Let its workers draw for a run; this cluster. Raises ``OSError`` where the shards' place cannot be written."""
+        content = spec.model_dump_json().encode()
+        name = f"run-{hashlib.blake2b(content, digest_size=8).hexdigest()}.json"
+        store_at(shards).write(name, content)
+        self._run, self._seen = (shards, name), clock.monotonic()
+        return self
 
-    def submit(self, task: Task) -> None:
+    def free(self) -> Sequence[int]:
+        """As the protocol says: which worker draws a task is Dask's to say, so there is one lane."""
+        return [0] * max(AHEAD * len(self._able()) - len(self._running), 0)
+
+    def submit(self, task: Task, lane: int = 0) -> None:
         """As the protocol says."""
+        assert self._run is not None
         able = self._able()
         self._running[task.id] = task, None
         try:
             future = self._client.submit(
-                draw_on_worker,
-                self._shards,
-                self._spec,
+                self._on_worker.draw_on_worker,
+                *self._run,
                 tuple(task),
                 pure=False,
                 retries=0,
@@ -112,9 +123,20 @@ class DaskCluster:
         """As the protocol says. The cluster goes on without this run."""
         with suppress(Exception):  # of a scheduler that has gone
             self._client.cancel([future for _, future in self._running.values()])
+            self._client.unregister_worker_plugin(self._plugin)
+        with suppress(Exception):
             self._client.close(timeout=5.0)
-        with suppress(OSError):
-            store_at(self._shards).delete([self._spec])
+        if self._run is not None:
+            shards, name = self._run
+            with suppress(OSError):
+                store_at(shards).delete([name])
+
+    def _warm_up(self) -> None:
+        """Let every worker have a render process, now and when it comes."""
+        try:
+            self._client.register_plugin(self._on_worker.WarmProcess(), name=self._plugin)
+        except Exception as error:  # a worker's own, or its scheduler has gone: it is told of by the first task
+            log.warning("%s: render processes start with the first tasks only: %s", self._address, _short(error))
 
     def _outcome(self, task: Task, future: Any) -> list[Drawn | NotDrawn]:
         try:
@@ -179,58 +201,10 @@ class DaskCluster:
                         f"what was drawn is kept"
                     ) from None
                 clock.sleep(1.0)
+        self._warm_up()
         self._workers, self._seen, self._refused = [], clock.monotonic(), {}
         for task in lost:
             self.submit(task)
-
-
-class _KeptProcess:
-    """The render process of a Dask worker: of the run that it draws for."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._run: tuple[str, str] | None = None
-        self._process: RenderProcess | None = None
-
-    def draw(self, shards: str, spec: str, task: Task) -> Drawn | NotDrawn:
-        """A task of a run, drawn now."""
-        with self._lock:
-            try:
-                process = self._of((shards, spec))
-                process.draw(task)
-                said = process.hear()
-                assert not isinstance(said, Begun)
-                return said
-            except GraphicsError as error:
-                self._end()
-                return NotDrawn(task.id, str(error), "refused")
-            except EOFError:
-                self._end()
-                return NotDrawn(task.id, "its render process ended in the middle of it", "died")
-
-    def _of(self, run: tuple[str, str]) -> RenderProcess:
-        if self._process is None or self._run != run:
-            self._end()
-            self._process, self._run = RenderProcess(threads_of_one(1)), run
-            self._process.begin(store_at(run[0]).read(run[1]).decode(), run[0])
-            self._process.hear()
-        return self._process
-
-    def _end(self) -> None:
-        if self._process is not None:
-            self._process.end()
-        self._process = None
-
-
-_kept = _KeptProcess()
-
-
-def draw_on_worker(shards: str, spec: str, task: tuple[Any, ...]) -> Drawn | NotDrawn:
-    """What a Dask worker runs: a task of the run whose ``RunSpec`` lies with the shards under a name."""
-    from distributed import get_worker
-
-    said = _kept.draw(shards, spec, Task(*task))
-    return replace(said, worker=get_worker().address)
 
 
 def _short(error: object) -> str:

@@ -6,7 +6,6 @@ import resource
 import sys
 import time as clock
 
-from morecantile import tms as matrix_sets
 from pmtiles.tile import zxy_to_tileid
 
 from api.layers import LAYERS, MapFormat, nodata_height_m
@@ -15,12 +14,10 @@ from api.seed.messages import Drawn, Task
 from api.seed.run_spec import MATRIX_SET, RunSpec
 from api.seed.storage import ShardStore
 from api.workers.block_tiles import BLOCK_TILES, TILE_PX, cut_tiles, empty_tile, encoded_part
-from api.workers.drawn_blocks import block_of_grid, drawn_block
+from api.workers.drawn_blocks import block_of_grid, drawn_block, grid_of_zoom
 from api.workers.map_jobs import heights_picture
-from terrain.cache import MIB, cached
 from terrain.errors import InputError
 from terrain.gbuffer.bare_ground import forget_ground_before
-from terrain.geo.grid import Grid, tile_grid
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 
@@ -52,14 +49,9 @@ class Drawer:
         self._scene.close()
 
 
-@cached("process", MIB, size_of=lambda _: 512)
-def _grid_of(zoom: int) -> Grid:
-    return tile_grid(matrix_sets.get(MATRIX_SET), zoom)  # a set of matrices is copied each time
-
-
 def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, bytes], float]:
     """The tiles of a task that show any data, by tile id, and how long writing their files took, seconds."""
-    view, encoding = block_of_grid(_grid_of(task.zoom), task.x, task.y), LAYERS[spec.layer].encoding
+    view, encoding = block_of_grid(grid_of_zoom(MATRIX_SET, task.zoom), task.x, task.y), LAYERS[spec.layer].encoding
     tiles: dict[tuple[int, int], bytes] = {}
     if encoding is not None:
         heights = heights_picture(scene, view, encoding)

@@ -8,24 +8,24 @@ from multiprocessing.connection import wait
 from typing import Protocol
 
 from api.seed.messages import Begun, Drawn, NotDrawn, Task
-from api.seed.render_process import RenderProcess, threads_of_one
+from api.seed.render_process import START_LIMIT_S, RenderProcess, threads_of_one
 from api.seed.run_spec import RunSpec
 from api.settings import cores
 from terrain.errors import GraphicsError
 
 MOST_FRUITLESS = 5
-"""Starts in a row of processes that end before they drew anything: then something is wrong with all of them."""
-
-DIED = "its render process ended in the middle of it"
+"""Starts in a row of processes that end, or hang, before they drew anything: then something is wrong with all of them."""
 
 
 class Runner(Protocol):
     """What draws tasks. To be used from one thread."""
 
-    def free(self) -> int:
-        """How many tasks may be submitted now."""
+    def free(self) -> Sequence[int]:
+        """The lanes to which a task may be submitted now, once for each. Tasks of one lane that follow one another are best
+        neighbours.
+        """
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task, lane: int) -> None:
         """Begin a task."""
 
     def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
@@ -36,15 +36,15 @@ class Runner(Protocol):
 
 
 class LocalPool:
-    """So many processes of this machine, that warm up until a run is begun. One that dies is replaced; its task is told of as
-    ``died``.
+    """So many processes of this machine, that warm up until a run is begun. One that dies, or hangs, is replaced; its task is told
+    of as ``died``.
     """
 
-    def __init__(self, workers: int) -> None:
-        self._environment = threads_of_one(max(cores() // workers, 1))
+    def __init__(self, workers: int, start_limit_s: float = START_LIMIT_S) -> None:
+        self._environment, self._start_limit_s = threads_of_one(max(cores() // workers, 1)), start_limit_s
         self._fruitless = 0
         self._run: tuple[str, str] | None = None
-        self._processes = [RenderProcess(self._environment) for _ in range(workers)]
+        self._processes = [self._started() for _ in range(workers)]
 
     def begin(self, spec: RunSpec, shards: str) -> LocalPool:
         """Let them draw for a run; this pool."""
@@ -53,13 +53,13 @@ class LocalPool:
             process.begin(*self._run)
         return self
 
-    def free(self) -> int:
-        """As the protocol says."""
-        return sum(process.begun and process.task is None for process in self._processes)
+    def free(self) -> Sequence[int]:
+        """As the protocol says: a process is a lane."""
+        return [lane for lane, process in enumerate(self._processes) if process.begun and process.task is None]
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task, lane: int) -> None:
         """As the protocol says."""
-        next(process for process in self._processes if process.begun and process.task is None).draw(task)
+        self._processes[lane].draw(task)
 
     def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:
         """As the protocol says."""
@@ -69,12 +69,14 @@ class LocalPool:
         }
         if not by_connection:
             clock.sleep(min(timeout_s, 0.1))
-        for connection in wait(list(by_connection), timeout_s):
-            process = by_connection[connection]  # type: ignore[index]
+        heard = wait(list(by_connection), timeout_s)
+        for connection, process in by_connection.items():
+            if connection not in heard and process.left_s != 0.0:
+                continue
             try:
                 said = process.hear()
-            except EOFError:
-                outcomes += self._replaced(process)
+            except EOFError as ended:
+                outcomes += self._replaced(process, str(ended))
                 continue
             if isinstance(said, Begun):
                 continue
@@ -92,13 +94,18 @@ class LocalPool:
         """Its processes' ids."""
         return [process.pid for process in self._processes]
 
-    def _replaced(self, process: RenderProcess) -> list[NotDrawn]:
+    def _started(self) -> RenderProcess:
+        return RenderProcess(self._environment, self._start_limit_s)
+
+    def _replaced(self, process: RenderProcess, why: str) -> list[NotDrawn]:
         lost = process.task
         process.end()
         self._fruitless += 1
         if self._fruitless >= MOST_FRUITLESS * len(self._processes):
-            raise GraphicsError(f"{self._fruitless} render processes in a row ended before they had drawn anything")
-        another = self._processes[self._processes.index(process)] = RenderProcess(self._environment)
+            raise GraphicsError(
+                f"{self._fruitless} render processes in a row ended, or gave no answer, before they had drawn anything"
+            )
+        another = self._processes[self._processes.index(process)] = self._started()
         assert self._run is not None
         another.begin(*self._run)
-        return [] if lost is None else [NotDrawn(lost.id, DIED, "died")]
+        return [] if lost is None else [NotDrawn(lost.id, why, "died")]

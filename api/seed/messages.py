@@ -7,9 +7,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+LEAST_LIMIT_S = 600.0
+"""For so long a process may draw any task: one whose loops nobody has compiled yet takes minutes."""
+
 
 class Task(NamedTuple):
-    """A metatile: a block (x, y) of a zoom under a sun, and the name of the shard that its tiles go to."""
+    """A metatile: a block (x, y) of a zoom under a sun, the name of the shard that its tiles go to, and after how many seconds
+    the process that draws it counts as hung.
+    """
 
     id: int
     sun: int
@@ -17,6 +22,7 @@ class Task(NamedTuple):
     x: int
     y: int
     shard: str
+    limit_s: float
 
 
 @dataclass(frozen=True)

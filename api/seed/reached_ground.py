@@ -70,9 +70,10 @@ class ReachedGround:
     def __init__(self, scene: Scene, chunks: GroundChunks) -> None:
         self._scene, self._chunks = scene, chunks
         self._points = _chunk_points(scene, chunks)
+        self._cells: dict[tuple[Grid, int, int], tuple[float, float, float, float]] = {}
 
     def under(self, scene: Scene) -> ReachedGround:
-        """The same of the same ground under another sun."""
+        """The same of the same ground under another sun: where blocks lie on it is found once for all."""
         other = copy(self)
         other._scene = scene
         return other
@@ -117,6 +118,12 @@ class ReachedGround:
 
     def _cells_of(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
         """First and last row and column of the raster under a block and round it, infinite where that cannot be told."""
+        place = grid, x, y
+        if place not in self._cells:
+            self._cells[place] = self._found_cells(grid, x, y)
+        return self._cells[place]
+
+    def _found_cells(self, grid: Grid, x: int, y: int) -> tuple[float, float, float, float]:
         elevation = self._scene.elevation
         map_x, map_y = _lattice(grid, x, y)
         if grid.crs != elevation.crs:

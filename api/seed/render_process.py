@@ -12,9 +12,11 @@ import signal
 import socket
 import subprocess
 import sys
+import time as clock
 from collections.abc import Mapping
+from contextlib import suppress
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from api.seed.messages import Begin, Begun, Drawn, NotBegun, NotDrawn, Task
 from api.seed.storage import store_at
@@ -25,13 +27,26 @@ if TYPE_CHECKING:
     from api.seed.drawing import Drawer
     from api.seed.run_spec import RunSpec
 
+START_LIMIT_S = 600.0
+"""After so long a process counts as hung that has been told which run to draw for, and is not ready: where nobody has compiled its
+loops yet that takes minutes.
+"""
+
+DIED = "its render process ended in the middle of it"
+
+GONE_S = 10.0
+"""How long it is waited for a killed process. One that waits for a disk that does not answer ends when that does."""
+
 log = logging.getLogger("skugga.worker")
 
 
 class RenderProcess:
-    """A child that draws tasks, one at a time. It warms up, and waits to ``begin`` a run. One thread asks it, and ends it."""
+    """A child that draws tasks, one at a time. It warms up, and waits to ``begin`` a run. One thread asks it, and ends it.
 
-    def __init__(self, environment: Mapping[str, str]) -> None:
+    What it is told it has to answer within a time, ``start_limit_s`` or that of a task: then it counts as hung.
+    """
+
+    def __init__(self, environment: Mapping[str, str], start_limit_s: float = START_LIMIT_S) -> None:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
@@ -41,9 +56,12 @@ class RenderProcess:
         self.connection = Connection(ours.detach())
         self.begun = False
         self.task: Task | None = None
+        self._start_limit_s = start_limit_s
+        self._wait_for(None)
 
     def begin(self, spec: str, shards: str) -> None:
         """Let it draw for a run (``RunSpec`` as JSON); ``hear`` tells when it is ready."""
+        self._wait_for(self._start_limit_s)
         try:
             self.connection.send(Begin(spec, shards))
         except OSError:
@@ -54,25 +72,35 @@ class RenderProcess:
         """Process id."""
         return self._process.pid
 
+    @property
+    def left_s(self) -> float | None:
+        """For how many seconds more it may be waited for: 0 where it counts as hung; ``None`` where it has nothing to answer."""
+        return None if self._until is None else max(self._until - clock.monotonic(), 0.0)
+
     def hear(self) -> Drawn | NotDrawn | Begun:
         """What it has to say; waits for it. Raises ``GraphicsError`` where it cannot draw the run's tasks, and ``EOFError`` where
-        it has ended.
+        it has ended or hangs, with what is told of its task.
         """
         try:
-            said = self.connection.recv()
-        except OSError:
-            raise EOFError from None
+            hangs = not self.connection.poll(self.left_s)
+            said: Any = None if hangs else self.connection.recv()
+        except (EOFError, OSError):
+            raise EOFError(DIED) from None
+        if hangs:
+            raise EOFError(f"its render process gave no answer within {self._limit_s:g} s")
         if isinstance(said, NotBegun):
             raise GraphicsError(said.error)
         if isinstance(said, Begun):
             self.begun = True
         else:
             self.task = None
+        self._wait_for(None)
         return said
 
     def draw(self, task: Task) -> None:
         """Begin a task; ``hear`` tells of it. A process that has ended is heard of there, too."""
         self.task = task
+        self._wait_for(task.limit_s)
         try:
             self.connection.send(task)
         except OSError:
@@ -81,8 +109,12 @@ class RenderProcess:
     def end(self) -> None:
         """End it at once: it holds nothing that would be lost."""
         self._process.kill()
-        self._process.wait()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(GONE_S)
         self.connection.close()
+
+    def _wait_for(self, limit_s: float | None) -> None:
+        self._limit_s, self._until = limit_s, None if limit_s is None else clock.monotonic() + limit_s
 
 
 def threads_of_one(threads: int) -> dict[str, str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from api.errors import BrokenShardError
 from api.seed.local_pool import Runner
+from api.seed.messages import LEAST_LIMIT_S
 from api.seed.planning import PlannedRun
 from api.seed.publishing import publish
 from api.seed.running import TaskEnd, run_tasks, shard_name
@@ -51,8 +52,9 @@ def draw_and_publish(
     on_progress: Callable[[TaskEnd], None],
     most_tasks: int | None = None,
     retry_failed: bool = False,
+    least_limit_s: float = LEAST_LIMIT_S,
 ) -> Seeded:
-    """Draw all tasks that wait, and write the outputs where none has failed.
+    """Draw all tasks that wait, and write the outputs where none has failed. ``least_limit_s`` is that of ``run_tasks``.
 
     Raises ``InputError`` where more than ``most_tasks`` would run, ``RenderError`` where some have failed, and as ``run_tasks``.
     """
@@ -67,7 +69,7 @@ def draw_and_publish(
     drawn, drawing_s = 0, 0.0
     for _ in range(TIMES_PUBLISHED):
         begin = clock.perf_counter()
-        drawn += _draw(table, run, start, on_progress)
+        drawn += _draw(table, run, start, on_progress, least_limit_s)
         _tell_failed(table)
         drawn_at = clock.perf_counter()
         drawing_s += drawn_at - begin
@@ -86,13 +88,13 @@ def forget_shards(table: TaskTable, store: ShardStore) -> None:
 
 
 def _draw(
-    table: TaskTable, run: PlannedRun, start: Callable[[], Runner], on_progress: Callable[[TaskEnd], None]
+    table: TaskTable, run: PlannedRun, start: Callable[[], Runner], on_progress: Callable[[TaskEnd], None], least_limit_s: float
 ) -> int:  # fmt: skip
     waiting = len(table.waiting())
     if waiting:
         runner = start()
         try:
-            run_tasks(table, run, runner, on_progress)
+            run_tasks(table, run, runner, on_progress, least_limit_s)
         finally:
             runner.close()
     return waiting

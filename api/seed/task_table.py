@@ -186,9 +186,9 @@ class TaskTable:
         rows = self._db.execute("SELECT id FROM tasks WHERE wanted AND state = 'waiting' ORDER BY expected_s DESC, first_tile, sun")
         return [row[0] for row in rows]
 
-    def place(self, task: int) -> tuple[str, int, int, int, str]:
-        """Sun, zoom, block x and y, and key of a task."""
-        row = self._db.execute("SELECT sun, zoom, x, y, key FROM tasks WHERE id = ?", (task,)).fetchone()
+    def place(self, task: int) -> tuple[str, int, int, int, str, float]:
+        """Sun, zoom, block x and y, and key of a task, and the seconds that it is expected to take."""
+        row = self._db.execute("SELECT sun, zoom, x, y, key, expected_s FROM tasks WHERE id = ?", (task,)).fetchone()
         return tuple(row)
 
     def finish(self, drawn: Sequence[Drawn]) -> None:

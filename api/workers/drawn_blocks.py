@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from morecantile import tms as matrix_sets
+
 from api.layers import LAYERS
 from api.workers.block_tiles import NOT_ASKED, PicturedBlock
 from shadows.ground_pictures import ShownMap, shown_map
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
-from terrain.geo.grid import BLOCK_PX, Grid, MapView
+from terrain.cache import MIB, cached
+from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
 from terrain.scene import Scene
+
+
+@cached("process", MIB, size_of=lambda _: 512)
+def grid_of_zoom(matrix_set: str, zoom: int) -> Grid:
+    """The grid of a tile matrix, by the name of its set. Kept: a set that is got by its name is a copy, made in milliseconds."""
+    return tile_grid(matrix_sets.get(matrix_set), zoom)
 
 
 def block_of_grid(grid: Grid, x: int, y: int) -> MapView:

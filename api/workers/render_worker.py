@@ -16,14 +16,13 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from morecantile import tms as matrix_sets
 
 from api.device_calibration import calibration
 from api.errors import TooCostlyError
 from api.layers import LAYERS, encode_picture, picture_layer
 from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
 from api.workers.block_tiles import PicturedBlock, cut_tiles, encoded_tiles
-from api.workers.drawn_blocks import block_of_grid, drawn_block
+from api.workers.drawn_blocks import block_of_grid, drawn_block, grid_of_zoom
 from api.workers.jobs import (
     Answer,
     BlockJob,
@@ -67,7 +66,7 @@ from terrain.describe import describe
 from terrain.errors import Fault, GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
+from terrain.geo.grid import BLOCK_PX, MapView
 from terrain.gl import device as gl
 from terrain.level.level import SUN, Shadows, load_level
 from terrain.scene import Scene, build_scene
@@ -182,12 +181,12 @@ class WorkerState:
 
 def block_view(job: BlockJob | SunHoursJob) -> MapView:
     """The view of a block: its pixels are the tile matrix's own."""
-    return block_of_grid(tile_grid(matrix_sets.get(job.matrix_set), job.zoom), job.block_x, job.block_y)
+    return block_of_grid(grid_of_zoom(job.matrix_set, job.zoom), job.block_x, job.block_y)
 
 
 def tiles_view(scene: Scene, tiles: Tiles) -> MapView:
     """The view of the block that holds the level's middle: what is planned for all tiles of the zoom is planned for this one."""
-    grid = tile_grid(matrix_sets.get(tiles.matrix_set), tiles.zoom)
+    grid = grid_of_zoom(tiles.matrix_set, tiles.zoom)
     (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
     return block_of_grid(grid, int((west + east) / 2 // BLOCK_PX), int((north + south) / 2 // BLOCK_PX))
 

@@ -32,6 +32,7 @@ from terrain.geo.grid import Grid, MapView
 from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.geo.world import EARTH_RADIUS_M, World
 from terrain.ground.elevation import Elevation
+from terrain.ground.extremes import widen
 from terrain.ground.surface import RefinedWindow, Surface, refined_row
 from terrain.scene import Scene
 
@@ -333,7 +334,7 @@ def _parts_of(height_m, refined, row0, col0, more, quads, out):
         nodes = band[more : more + quads + 1]
         bounds[0], bounds[1] = np.inf, -np.inf
         for i in range(quads + 1):
-            _widen(nodes[i, more : more + cols], bounds[0], bounds[1])
+            widen(nodes[i, more : more + cols], bounds[0], bounds[1])
         _gather_rises(nodes, more, reach)
         for number in range(cols // quads):
             left = number * quads
@@ -374,10 +375,10 @@ def _gather_rises(height_m, more, reach):
     for i in range(rows):
         here = height_m[i, more : more + cols]
         _differences(here[1:], here[:-1], next_right)
-        _widen(next_right, reach[1, : cols - 1], reach[0, : cols - 1])
+        widen(next_right, reach[1, : cols - 1], reach[0, : cols - 1])
         if i > 0:
             _differences(here, height_m[i - 1, more : more + cols], down)
-            _widen(down, reach[3], reach[2])
+            widen(down, reach[3], reach[2])
             _larger(right, next_right, most_right)
             _smaller(right, next_right, least_right)
             _larger(down[:-1], down[1:], most_down)
@@ -420,14 +421,6 @@ def _larger(a, b, out):
 def _smaller(a, b, out):
     for j in range(out.size):
         out[j] = a[j] if (a[j] < b[j]) | np.isnan(b[j]) else b[j]
-
-
-@compiled
-def _widen(values, least, most):
-    for j in range(values.size):
-        value = values[j]
-        least[j] = value if value < least[j] else least[j]
-        most[j] = value if value > most[j] else most[j]
 
 
 @compiled

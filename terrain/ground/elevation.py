@@ -30,6 +30,7 @@ from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
 from terrain.ground.cells import cell_heights
+from terrain.ground.extremes import widen
 from terrain.ground.georeference import crs_of
 from terrain.ground.open_raster import dataset_of_heights
 from terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
@@ -401,8 +402,8 @@ def _on_level(row, col, factor, rows, cols):
     ends[0], ends[1], ends[2], ends[3] = np.inf, -np.inf, np.inf, -np.inf
     for i in range(row.shape[0]):
         _row_on_level(row[i], col[i], factor, rows, cols, out_row[i], out_col[i])
-        _widen(out_row[i], ends[0], ends[1])
-        _widen(out_col[i], ends[2], ends[3])
+        widen(out_row[i], ends[0], ends[1])
+        widen(out_col[i], ends[2], ends[3])
     found = np.array([[np.inf, -np.inf], [np.inf, -np.inf]])
     for j in range(row.shape[1]):
         for axis in range(2):
@@ -421,14 +422,6 @@ def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
         r, c = (row[j] + 0.5) / factor - 0.5, col[j] if endless else (col[j] + 0.5) / factor - 0.5
         known = np.isfinite(c) & (r >= -0.5) & (r <= rows - 0.5) & (endless | ((c >= -0.5) & (c <= cols - 0.5)))
         out_row[j], out_col[j] = r if known else np.nan, c if known else np.nan
-
-
-@compiled
-def _widen(values, least, most):
-    for j in range(values.size):
-        value = values[j]
-        least[j] = value if value < least[j] else least[j]
-        most[j] = value if value > most[j] else most[j]
 
 
 @compiled

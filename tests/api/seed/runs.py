@@ -48,10 +48,10 @@ class HereRunner:
         self._given: deque[Task] = deque()
         self.drawn: list[Task] = []
 
-    def free(self) -> int:
-        return 2 - len(self._given)
+    def free(self) -> Sequence[int]:
+        return [0] * (2 - len(self._given))
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: Task, lane: int) -> None:
         self._given.append(task)
 
     def wait(self, timeout_s: float) -> Sequence[Drawn | NotDrawn]:

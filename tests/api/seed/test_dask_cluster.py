@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,9 +22,12 @@ from api.seed.storage import store_at
 from api.seed.task_table import TaskTable
 from terrain.errors import GraphicsError, InputError, RenderError
 from tests.api.seed.runs import Run, rough_ground, write_ground
+from tests.api.seed.test_deaths import render_processes
 from tests.api.seed.test_storage import object_store
 
 pytestmark = pytest.mark.long
+
+distributed = pytest.importorskip("distributed")
 
 __all__ = ["object_store"]
 
@@ -100,7 +104,7 @@ def on_cluster(
         planned = plan_run(table, run.request, lambda text: None)
         draw_and_publish(
             table, planned, store_at(place), place, {planned.sun_names[0]: run.output},
-            lambda: DaskCluster(planned.spec, place, cluster.address, nobody_s), note,
+            lambda: DaskCluster(cluster.address, nobody_s).begin(planned.spec, place), note,
         )  # fmt: skip
     return drawn_by
 
@@ -154,20 +158,51 @@ def test_a_scheduler_that_starts_anew_is_given_what_it_had(run, cluster, tmp_pat
 def test_a_slow_worker_gets_less_to_do(run, cluster):
     run.zooms = 11, 15
     cluster.add_worker()
-    slow = "import api.seed.dask_cluster as c, time\ndraw = c._kept.draw\nc._kept.draw = lambda *a: (time.sleep(6), draw(*a))[1]"
+    slow = "import api.seed.dask_worker as c, time\ndraw = c.kept.draw\nc.kept.draw = lambda *a: (time.sleep(6), draw(*a))[1]"
     cluster.add_worker(before=slow)
     counts = sorted(Counter(on_cluster(run, cluster)).values())
     assert len(counts) == 2 and counts[0] < counts[1]
 
 
 def test_a_worker_with_another_renderer_is_refused(run, cluster):
-    other = "import api.seed.dask_cluster as c\nfrom terrain.errors import GraphicsError\n"
-    other += "def refuse(*a): raise GraphicsError('this worker draws with another renderer')\nc._KeptProcess._of = refuse"
+    other = "import api.seed.dask_worker as c\nfrom terrain.errors import GraphicsError\n"
+    other += "def refuse(*a): raise GraphicsError('this worker draws with another renderer')\nc.KeptProcess._of = refuse"
     cluster.add_worker(before=other)
     with pytest.raises(GraphicsError, match="no worker of the cluster can draw this run.*another renderer"):
         on_cluster(run, cluster)
     cluster.add_worker()
+    until(lambda: workers_of(cluster) == 2)  # as long as there is only the other one, nobody can draw
     assert len(set(on_cluster(run, cluster))) == 1, "the other one draws all"
+
+
+def test_render_processes_are_there_before_the_first_task_and_end_with_the_run(cluster):
+    first = cluster.add_worker()
+    until(lambda: workers_of(cluster) == 1)
+    waiting = DaskCluster(cluster.address)
+    try:
+        until(lambda: len(render_processes(first.pid)) == 1)
+        later = cluster.add_worker()
+        until(lambda: len(render_processes(later.pid)) == 1)
+    finally:
+        waiting.close()
+    until(lambda: not render_processes(first.pid) and not render_processes(later.pid))
+    third = cluster.add_worker()
+    until(lambda: workers_of(cluster) == 3)
+    assert render_processes(third.pid) == [], "nobody has asked for it"
+
+
+def until(true: Callable[[], bool]) -> None:
+    """Wait until something is so; fail where that takes long."""
+    end = time.monotonic() + 60.0
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+def workers_of(cluster: Cluster) -> int:
+    """How many the scheduler knows."""
+    with distributed.Client(cluster.address, timeout=30.0, set_as_default=False) as client:
+        return len(client.nthreads())
 
 
 def test_without_a_scheduler_or_workers(run, cluster):

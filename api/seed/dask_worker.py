@@ -1,0 +1,93 @@
+"""What runs on a Dask cluster's workers: each keeps one render process, for an OpenGL context may not move between threads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from threading import Lock
+from typing import Any
+
+from distributed import WorkerPlugin, get_worker
+
+from api.seed.messages import Begun, Drawn, NotDrawn, Task
+from api.seed.render_process import RenderProcess, threads_of_one
+from api.seed.storage import store_at
+from terrain.errors import GraphicsError
+
+
+class KeptProcess:
+    """The render process of a Dask worker: of the run that it draws for, or a warm one for the next."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._run: tuple[str, str] | None = None
+        self._process: RenderProcess | None = None
+
+    def warm_up(self) -> None:
+        """Start a process, where there is none. It is not waited for."""
+        if self._lock.acquire(blocking=False):  # else one draws
+            try:
+                if self._process is None:
+                    self._process = RenderProcess(threads_of_one(1))
+            finally:
+                self._lock.release()
+
+    def draw(self, shards: str, spec: str, task: Task) -> Drawn | NotDrawn:
+        """A task of a run, drawn now."""
+        with self._lock:
+            try:
+                process = self._of((shards, spec))
+                process.draw(task)
+                said = process.hear()
+                assert not isinstance(said, Begun)
+                return said
+            except GraphicsError as error:
+                self._end()
+                return NotDrawn(task.id, str(error), "refused")
+            except EOFError as ended:
+                self._end()
+                return NotDrawn(task.id, str(ended), "died")
+
+    def end(self) -> None:
+        """End the process, unless it draws: then it is of another run, or it is ended when the next one begins."""
+        if self._lock.acquire(blocking=False):
+            try:
+                self._end()
+            finally:
+                self._lock.release()
+
+    def _of(self, run: tuple[str, str]) -> RenderProcess:
+        if self._run not in (None, run):
+            self._end()
+        if self._process is None:
+            self._process = RenderProcess(threads_of_one(1))
+        if self._run is None:
+            self._process.begin(store_at(run[0]).read(run[1]).decode(), run[0])
+            self._process.hear()
+            self._run = run
+        return self._process
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._process.end()
+        self._process = self._run = None
+
+
+kept = KeptProcess()
+"""This worker's."""
+
+
+class WarmProcess(WorkerPlugin):
+    """Lets a worker have a render process before its first task: as soon as it comes, and until it or the run ends."""
+
+    def setup(self, worker: Any) -> None:
+        """Of Dask: the worker has come, or the run begins."""
+        kept.warm_up()
+
+    def teardown(self, worker: Any) -> None:
+        """Of Dask: the worker goes, or the run has ended."""
+        kept.end()
+
+
+def draw_on_worker(shards: str, spec: str, task: tuple[Any, ...]) -> Drawn | NotDrawn:
+    """What a Dask worker runs: a task of the run whose ``RunSpec`` lies with the shards under a name."""
+    return replace(kept.draw(shards, spec, Task(*task)), worker=get_worker().address)

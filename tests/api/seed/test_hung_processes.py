@@ -1,0 +1,127 @@
+"""Render processes that are stopped in the middle: they are ended after a time, and others do what they had to do."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from api.seed.local_pool import MOST_FRUITLESS, LocalPool
+from api.seed.messages import LEAST_LIMIT_S, Drawn, NotDrawn, Task
+from api.seed.planning import plan_run
+from api.seed.run_spec import RunSpec
+from api.seed.running import LIMIT_TIMES, TaskEnd, task_of
+from api.seed.seeding import draw_and_publish
+from api.seed.task_table import TaskTable
+from terrain.errors import GraphicsError, RenderError
+from tests.api.seed.runs import Run, rough_ground, write_ground
+
+LIMIT_S = 15.0
+"""Of tasks that take half a second: long enough on a busy machine."""
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    return Run(write_ground(tmp_path / "dem.tif", rough_ground(120)), tmp_path / "out.pmtiles", (11, 14))
+
+
+class Stopping(LocalPool):
+    """A pool of one process that is stopped as soon as it has been given the task of zoom 11, some ``times``."""
+
+    def __init__(self, times: int, limit_s: float | None = None) -> None:
+        super().__init__(1)
+        self.left, self._limit_s = times, limit_s
+
+    def submit(self, task: Task, lane: int) -> None:
+        if not self.left or task.zoom != 11:
+            super().submit(task, lane)
+            return
+        self.left -= 1
+        super().submit(task if self._limit_s is None else task._replace(limit_s=self._limit_s), lane)
+        os.kill(self.pids[0], signal.SIGSTOP)
+
+
+def seeded(run: Run, pool: LocalPool, **options: float) -> list[TaskEnd]:
+    """Seed by a pool; what ended."""
+    ends: list[TaskEnd] = []
+    shards = str(run.work / "shards")
+    with TaskTable(run.work / "tasks.sqlite") as table:
+        planned = plan_run(table, run.request, lambda text: None)
+        draw_and_publish(
+            table, planned, run.store, shards, {planned.sun_names[0]: run.output}, lambda: pool.begin(planned.spec, shards),
+            ends.append, **options,
+        )  # fmt: skip
+    return ends
+
+
+def tries_of(run: Run) -> list[int]:
+    """How often workers died of tasks, of those of which any did."""
+    with closing(sqlite3.connect(run.work / "tasks.sqlite")) as table:
+        return [row[0] for row in table.execute("SELECT tries FROM tasks WHERE tries > 0")]
+
+
+@pytest.mark.long
+def test_a_stopped_process_is_replaced_and_its_task_drawn(run: Run, tmp_path: Path):
+    pool = Stopping(times=1)
+    first = pool.pids
+    seeded(run, pool, least_limit_s=LIMIT_S)
+    assert pool.left == 0 and tries_of(run) == [1]
+    assert pool.pids != first and not Path(f"/proc/{first[0]}").exists()
+    whole = Run(run.level, tmp_path / "whole.pmtiles", run.zooms)
+    whole()
+    assert run.output.read_bytes() == whole.output.read_bytes()
+
+
+@pytest.mark.long
+def test_a_task_that_always_hangs_is_listed_and_the_others_go_on(run: Run):
+    pool = Stopping(times=100, limit_s=1.0)
+    with pytest.raises(RenderError, match=r"1 of \d+ tasks failed.*zoom 11 .*gave no answer within 1 s"):
+        seeded(run, pool)
+    assert pool.left == 97 and tries_of(run) == [3]
+
+
+@pytest.mark.long
+def test_what_hangs_below_a_clusters_worker_is_replaced(run: Run):
+    from api.seed.dask_worker import KeptProcess
+
+    kept, shards = KeptProcess(), str(run.work / "shards")
+    with TaskTable(run.work / "tasks.sqlite") as table:
+        planned = plan_run(table, run.request, lambda text: None)
+        task = task_of(table, planned, table.waiting()[0], LEAST_LIMIT_S)
+    run.store.write("run.json", planned.spec.model_dump_json().encode())
+    assert isinstance(kept.draw(shards, "run.json", task), Drawn)
+    assert kept._process is not None
+    os.kill(kept._process.pid, signal.SIGSTOP)
+    said = kept.draw(shards, "run.json", task._replace(limit_s=1.0))
+    assert isinstance(said, NotDrawn) and (said.how, said.error) == ("died", "its render process gave no answer within 1 s")
+    assert isinstance(kept.draw(shards, "run.json", task), Drawn)
+    kept.end()
+
+
+def test_processes_that_hang_at_the_start_end_the_run(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(RunSpec, "model_dump_json", lambda self: "")
+    pool = LocalPool(1, start_limit_s=0.2)
+    stopped: list[int] = []
+    try:
+        pool.begin(RunSpec.model_construct(), "nowhere")
+        with pytest.raises(GraphicsError, match=f"{MOST_FRUITLESS} render processes in a row ended, or gave no answer"):
+            for _ in range(2 * MOST_FRUITLESS):
+                os.kill(pool.pids[0], signal.SIGSTOP)
+                stopped += pool.pids
+                assert pool.wait(1.0) == []
+    finally:
+        pool.close()
+    assert len(set(stopped)) == MOST_FRUITLESS and not any(Path(f"/proc/{pid}").exists() for pid in stopped)
+
+
+def test_a_tasks_limit_is_a_multiple_of_what_is_expected_and_never_short(run: Run):
+    with TaskTable(run.work / "tasks.sqlite") as table:
+        planned = plan_run(table, run.request, lambda text: None)
+        number = table.waiting()[0]
+        expected_s = table.place(number)[-1]
+        assert task_of(table, planned, number, LEAST_LIMIT_S).limit_s == LEAST_LIMIT_S > 100.0 * expected_s > 0.0
+        assert task_of(table, planned, number, 0.01).limit_s == LIMIT_TIMES * expected_s

@@ -1,0 +1,54 @@
+"""Which task is begun next, and by whom."""
+
+from __future__ import annotations
+
+import pytest
+
+from api.seed.running import LONGEST_STRETCH, WaitingTasks
+
+
+def handed_out(waiting: WaitingTasks, lanes: int) -> list[list[int]]:
+    """What each of some lanes gets that take turns."""
+    out: list[list[int]] = [[] for _ in range(lanes)]
+    while waiting:
+        lane = sum(map(len, out)) % lanes
+        out[lane].append(waiting.take(lane))
+    return out
+
+
+@pytest.mark.parametrize("lanes", [1, 2, 7, 400])
+@pytest.mark.parametrize("count", [1, 10, 1000])
+def test_every_task_is_handed_out_once(lanes: int, count: int):
+    assert sorted(sum(handed_out(WaitingTasks(range(count)), lanes), [])) == list(range(count))
+
+
+def test_one_lane_has_all_in_order():
+    assert handed_out(WaitingTasks(range(1000)), 1) == [list(range(1000))]
+
+
+def test_lanes_draw_neighbours():
+    drawn = handed_out(WaitingTasks(range(10_000)), 4)
+    for lane in drawn:
+        beside = sum(b == a + 1 for a, b in zip(lane, lane[1:], strict=False))
+        assert beside > (1.0 - 1.5 / LONGEST_STRETCH) * len(lane)
+
+
+def test_the_first_are_begun_early_and_the_last_late():
+    lanes = handed_out(WaitingTasks(range(1000)), 4)
+    turns = {task: turn for lane in lanes for turn, task in enumerate(lane)}
+    assert all(abs(4 * turn - task) <= 4 * 4 * LONGEST_STRETCH for task, turn in turns.items())
+
+
+def test_a_lane_that_is_slow_is_left_with_one_task():
+    waiting = WaitingTasks(range(100))
+    waiting.take(1)
+    others = [waiting.take(0) for _ in range(99)]
+    assert len(set(others)) == 99 and not waiting
+    with pytest.raises(IndexError):
+        waiting.take(0)
+
+
+def test_what_is_put_back_comes_last():
+    waiting = WaitingTasks([1, 2, 3])
+    waiting.put_back(waiting.take(0))
+    assert [waiting.take(0) for _ in range(len(waiting))] == [2, 3, 1]
