@@ -55,9 +55,6 @@ GRAZING_COSINE = 0.02
 SHOWS = CHANNEL_STEP / 0.45
 """Share of the albedo that changes no colour by more than one of 255."""
 
-FACING_BESIDE = 0.03
-"""By how much the cosine between the view and the ground may be larger between a coarse look's points than at them."""
-
 _WAVES = np.array(GROUND_WAVES)
 
 
@@ -90,9 +87,9 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         return {"draped": draped, "nearest_m": None, "share": None}
     to_eye = (coarse_view.eye_frame_m - coarse_view.points_frame_m[ground]) / np.maximum(away_m, 1e-9)[:, None]
     facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.there][ground], to_eye))
-    # Between the points ground lies nearer, and is seen more from above.
-    nearer = 1.0 - min(float(coarse_view.spacing), 0.5)
-    wide_m = view.pixel * nearer * away_m / np.clip(facing / nearer + FACING_BESIDE, GRAZING_COSINE, 1.0)
+    # Up to the next point a plane lies nearer, and is seen more from above: at the distance h / c under the cosine c.
+    steeper = np.clip(facing + coarse_view.spacing, GRAZING_COSINE, 1.0)
+    wide_m = view.pixel * away_m * np.maximum(facing, GRAZING_COSINE) / steeper**2
     return {"draped": draped, "nearest_m": float(away_m.min()), "share": largest_share(float(wide_m.min()))}
 
 

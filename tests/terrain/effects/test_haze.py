@@ -238,7 +238,12 @@ def test_the_horizon_that_the_predicate_goes_by_holds_every_direction(floor):
 @pytest.mark.parametrize("altitude", [35, -20])
 def test_at_the_edge_of_being_called_for(gl, floor, altitude, away):
     """The visibility at which the farthest thing seen lies just before, or just beyond, where haze can show."""
-    keys = {"sun": {"azimuth": 200, "altitude": altitude}, "meshes": [{"generate": "boxgrid"}]}
+    keys = {
+        "sun": {"azimuth": 200, "altitude": altitude},
+        "meshes": [{"generate": "boxgrid"}],
+        "eye": (0.0, -140.0, 10.0),
+        "side": 300,
+    }
     probe = floor(weather={"visibility": 1e7}, **keys)
     facts = describe(probe, probe.view("v"), "v").facts["haze"]
     visibility = 1e7 * facts["farthest_m"] / facts["shows_from_m"] / away
