@@ -241,8 +241,7 @@ def test_at_the_edge_of_being_called_for(gl, floor, altitude, away):
     keys = {
         "sun": {"azimuth": 200, "altitude": altitude},
         "meshes": [{"generate": "boxgrid"}],
-        "eye": (0.0, -140.0, 10.0),
-        "side": 300,
+        "eye": (0.0, -60.0, 40.0),
     }
     probe = floor(weather={"visibility": 1e7}, **keys)
     facts = describe(probe, probe.view("v"), "v").facts["haze"]
