@@ -9,7 +9,7 @@ import numpy as np
 
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.gbuffer.bare_ground import BareGround, sines_of_row
+from terrain.gbuffer.bare_ground import BareGround
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.geo.camera import PerspectiveView
@@ -18,7 +18,7 @@ from terrain.geo.world import LocalFrame
 from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 from terrain.srgb import srgb_of_linear
-from terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M, tint_table
+from terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M, tint_table, veil_table
 
 LEVEL_ALBEDO = 0.42
 """Linear albedo of ground without any relief, which has no heights to tint."""
@@ -94,8 +94,7 @@ class LightHere(NamedTuple):
 
 class Look(NamedTuple):
     """What a style makes of ground and light, as the loops take it: linear colours (n, 3) by height, greying and direction of the
-    sky's light, the slopes' factor and limit, the veil's share at the height 0 and the height over which it falls, and a factor of
-    foliage's albedo.
+    sky's light, the slopes' factor and limit, the veil's share (n,) by height, and a factor of foliage's albedo.
     """
 
     tint: np.ndarray
@@ -104,8 +103,7 @@ class Look(NamedTuple):
     terminator: float
     slope_exaggeration: float
     slope_limit: float
-    aerial: float
-    aerial_m: float
+    veil: np.ndarray
     foliage: float
 
 
@@ -130,7 +128,7 @@ def look_of(scene: Scene, view: MapView | PerspectiveView) -> Look:
     return Look(
         tint_table(style.ramp) if high > low else np.full((TINT_COUNT, 3), LEVEL_ALBEDO),
         style.sky_greying * clear, style.sky_towards_sun * clear, style.terminator, steeper, style.slope_limit,
-        style.aerial if in_map and scene.sun is not None else 0.0, style.aerial_m,
+        veil_table(style.aerial if in_map and scene.sun is not None else 0.0, style.aerial_m),
         MAP_FOLIAGE if in_map else 1.0,
     )  # fmt: skip
 
@@ -183,8 +181,8 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
     if ground.height_m.size:
         light = light_here(scene, ground.frame)
         _shade_ground(
-            ground.there[ground.window], ground.height_m, ground.normal_frame, ground.upright, ground.sky_share,
-            sunlight[ground.window], look_of(scene, ground.view), light, ground.up.towards(light.to_sun_frame), _srgb_table(),
+            ground.there[ground.window], ground.height_m, ground.normal_frame, ground.up_frame, ground.sky_share,
+            sunlight[ground.window], look_of(scene, ground.view), light, _srgb_table(),
             out[ground.window],
         )  # fmt: skip
     return out
@@ -310,16 +308,12 @@ def _direct_at(sine):
 
 
 @compiled
-def _veil_at(height, aerial, aerial_m):
-    return aerial * np.exp(-max(height, 0.0) / aerial_m)
-
-
-@compiled
 def _shade(shown, look, light_here, centre, glow, albedo, sunlight, skylight, lamplight):
     # What is None is decided when this is compiled: each variant holds the code of what it is given alone.
     there, kind, position, height, normal = shown
-    tint, greying, towards, terminator, exaggeration, limit, aerial, aerial_m, foliage = look
+    tint, greying, towards, terminator, exaggeration, limit, veils, foliage = look
     has_sun, to_sun, sun, sky, night = light_here
+    as_it_is = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
     rows, cols = there.shape
     out = np.zeros((rows, cols, 3), np.float32)
     for i in range(rows):
@@ -330,20 +324,23 @@ def _shade(shown, look, light_here, centre, glow, albedo, sunlight, skylight, la
             leaf = glow if kind[i, j] == FOREST else 0.0
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
-            sine = (to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz) / length if has_sun else -1.0
-            upright = (n[0] * ux + n[1] * uy + n[2] * uz) / length
+            seen = 0.5 + 0.5 * (n[0] * ux + n[1] * uy + n[2] * uz) / length if skylight is None else skylight[i, j]
+            # Rounded as that of bare ground is, whose pictures are the same.
+            ux, uy, uz = _rounded(ux / length), _rounded(uy / length), _rounded(uz / length)
+            sine = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz if has_sun else -1.0
+            upright = n[0] * ux + n[1] * uy + n[2] * uz
             facing = n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2]
-            seen = 0.5 + 0.5 * upright if skylight is None else skylight[i, j]
             if has_sun:
-                if kind[i, j] == RELIEF:
+                if kind[i, j] == RELIEF and not as_it_is:
                     facing, upright = _on_slope(facing, upright, sine, exaggeration, limit)
                 seen = seen * _sky_on_slope(facing, upright, sine, towards)
                 if kind[i, j] == RELIEF:
                     facing = _towards_sun(facing, sine, terminator)
             sky_here = night + (1.0 - night) * dusk_of(sine)
             direct = (leaf + (1.0 - leaf) * max(facing, 0.0)) * (_direct_at(sine) * sunlight[i, j])
-            veil = _veil_at(height[i, j], aerial, aerial_m)
-            red, green, blue = _tinted(height[i, j], tint)
+            at, beyond = _place(height[i, j])
+            veil = veils[at] + (veils[at + 1] - veils[at]) * beyond
+            red, green, blue = _tinted(tint, at, beyond)
             if albedo is not None:
                 if np.isfinite(albedo[i, j, 0]):
                     red, green, blue = albedo[i, j, 0], albedo[i, j, 1], albedo[i, j, 2]
@@ -361,11 +358,21 @@ def _shade(shown, look, light_here, centre, glow, albedo, sunlight, skylight, la
 
 
 @compiled
-def _tinted(height, tint):
-    """The ramp's colour at a height."""
+def _rounded(value):
+    return np.float64(np.float32(value))
+
+
+@compiled
+def _place(height):
+    """Which of the heights that a ramp is tabulated at lies below one, and by what share of the way to the next it is beyond."""
     share = min(max((height - TINT_LOW_M) / TINT_STEP_M, 0.0), TINT_COUNT - 1.0)
     at = min(int(share), TINT_COUNT - 2)
-    beyond = share - at
+    return at, share - at
+
+
+@compiled
+def _tinted(tint, at, beyond):
+    """The ramp's colour there."""
     return (
         tint[at, 0] + (tint[at + 1, 0] - tint[at, 0]) * beyond,
         tint[at, 1] + (tint[at + 1, 1] - tint[at, 1]) * beyond,
@@ -374,33 +381,33 @@ def _tinted(height, tint):
 
 
 @compiled
-def _shade_ground(there, height, normal, upright, sky_share, sunlight, look, light_here, up, table, out):
+def _shade_ground(there, height, normal, up, sky_share, sunlight, look, light_here, table, out):
     """``_shade`` of bare ground and ``srgb_encoded`` of that, row by row: in loops that compile to vector instructions, and what is
     looked up in tables between them.
     """
-    tint, greying, towards, terminator, exaggeration, limit, aerial, aerial_m, _ = look
+    tint, greying, towards, terminator, exaggeration, limit, veils, _ = look
     _, to_sun, sun, sky, night = light_here
     cols = there.shape[1]
     direct, sky_here, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
-    facing, high, seen, veils = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(TINT_COUNT)
+    facing, high, seen = np.empty(cols), np.empty(cols), np.empty(cols)
     as_it_is = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
     beyond, at = np.empty(cols), np.empty(cols, np.int32)
     own, grey, step = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
     channels, greys = _by_channel(tint)
-    for n in range(TINT_COUNT):
-        veils[n] = _veil_at(TINT_LOW_M + n * TINT_STEP_M, aerial, aerial_m)
     high_sine = np.sin(np.radians(HIGH_SUN_DEG))
     for i in range(there.shape[0]):
-        sines_of_row(up, i, sines)
-        lowest = sines.min()
+        _face(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
+        high_everywhere = True  # a hole has no sine
+        for j in range(cols):
+            high_everywhere = high_everywhere and not sines[j] <= high_sine
         for j in range(cols):
             direct[j], sky_here[j] = sunlight[i, j], 1.0
-        if lowest <= high_sine:
+        if not high_everywhere:
             for j in range(cols):
                 direct[j] *= _direct_at(sines[j])
                 sky_here[j] = night + (1.0 - night) * dusk_of(sines[j])
         _face(normal[i], (to_sun[0], to_sun[1], to_sun[2]), facing)
-        high[:] = upright[i]
+        _stand(normal[i], up[i], high)
         if not as_it_is:
             _steepen(facing, high, sines, exaggeration, limit)
         _sky_on_row(facing, high, sines, towards, sky_share[i], sky_here, seen)
@@ -430,6 +437,14 @@ def _face(normal, to_sun, out):
     """Cosines of normals (n, 3) to the sun."""
     for j in range(out.size):
         out[j] = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
+
+
+@compiled
+def _stand(normal, up, out):
+    """Cosines of normals (n, 3) to the zenith, of which ``up`` (n, 3) are the directions."""
+    for j in range(out.size):
+        x, y, z = np.float64(up[j, 0]), np.float64(up[j, 1]), np.float64(up[j, 2])
+        out[j] = normal[j, 0] * x + normal[j, 1] * y + normal[j, 2] * z
 
 
 @compiled
@@ -496,7 +511,8 @@ def _albedo(there, height, albedo, tint):
         for j in range(cols):
             if not there[i, j]:
                 continue
-            out[i, j, 0], out[i, j, 1], out[i, j, 2] = _tinted(height[i, j], tint)
+            at, beyond = _place(height[i, j])
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = _tinted(tint, at, beyond)
             if albedo is not None:
                 if np.isfinite(albedo[i, j, 0]):
                     for k in range(3):

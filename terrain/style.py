@@ -161,3 +161,10 @@ def tint_table(ramp: Ramp) -> np.ndarray:
     heights = TINT_LOW_M + TINT_STEP_M * np.arange(TINT_COUNT)
     colors = np.array([[int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for _, text in ramp])
     return linear_of_srgb(np.stack([np.interp(heights, [height for height, _ in ramp], colors[:, k]) for k in range(3)], axis=1))
+
+
+@cached("process", MIB)
+def veil_table(share: float, falls_over_m: float) -> np.ndarray:
+    """Share (n,) of the veil of air at the heights of ``tint_table``: ``share`` at 0 and below."""
+    heights = TINT_LOW_M + TINT_STEP_M * np.arange(TINT_COUNT)
+    return share * np.exp(-np.maximum(heights, 0.0) / falls_over_m)

@@ -7,7 +7,7 @@ normal and its share of the sky. The numbers are those of a geometry buffer (``t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -31,38 +31,13 @@ from terrain.ground.surface import Surface, at_height, between_columns, between_
 from terrain.scene import Scene
 
 
-class UpVectors(NamedTuple):
-    """Unit vectors (m, cols, 3) up in a frame at rows of a window that are ``stride`` nodes apart, of which the first is
-    ``first_row`` strides from the grid's origin; ``row0`` is the window's first row.
-    """
-
-    up_frame: np.ndarray
-    first_row: int
-    stride: int
-    row0: int
-
-    def towards(self, direction_frame: np.ndarray) -> Sines:
-        """Sines of a direction's altitude there."""
-        return Sines(np.ascontiguousarray(self.up_frame @ direction_frame), self.first_row, self.stride, self.row0)
-
-
-class Sines(NamedTuple):
-    """Sines (m, cols) of a direction's altitude at rows as those of ``UpVectors``."""
-
-    sine: np.ndarray
-    first_row: int
-    stride: int
-    row0: int
-
-
 @dataclass(frozen=True, eq=False)
 class BareGround:
     """The ground in a map's pixels: ``there`` bool (rows, cols), where there is any. All else is of a ``window`` of the pixels,
     beside which there is none.
 
-    ``height_m`` float32 (r, c); ``normal_frame`` float32 (r, c, 3), the smooth unit normal; ``upright`` float32 (r, c), its cosine
-    to the zenith; ``sky_share`` float32 (r, c), how much of the sky is seen; all four mean something where there is ground. ``up``
-    is where the zenith is.
+    ``height_m`` float32 (r, c); ``normal_frame`` float32 (r, c, 3), the smooth unit normal; ``up_frame`` float32 (r, c, 3), the
+    unit vector up; ``sky_share`` float32 (r, c), how much of the sky is seen; all four mean something where there is ground.
     """
 
     view: MapView
@@ -71,9 +46,8 @@ class BareGround:
     window: tuple[slice, slice]
     height_m: np.ndarray
     normal_frame: np.ndarray
-    upright: np.ndarray
+    up_frame: np.ndarray
     sky_share: np.ndarray
-    up: UpVectors
 
     @property
     def window_view(self) -> MapView:
@@ -107,10 +81,8 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     there = np.zeros((view.rows, view.cols), np.bool_)
     if not len(rows):
         nothing = np.zeros((0, 0), np.float32)
-        nowhere = UpVectors(np.zeros((0, 0, 3)), 0, 1, 0)
-        return BareGround(
-            view, frame, there, (slice(0, 0), slice(0, 0)), nothing, np.zeros((0, 0, 3), np.float32), nothing, nothing, nowhere
-        )
+        nothing_3d = np.zeros((0, 0, 3), np.float32)
+        return BareGround(view, frame, there, (slice(0, 0), slice(0, 0)), nothing, nothing_3d, nothing_3d, nothing)
     window = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
     around = tuple(slice(side.start, side.stop + 2 * reach) for side in window)
     height, shown = np.ascontiguousarray(height[around]), np.ascontiguousarray(shown[around])
@@ -119,33 +91,14 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
     across = np.stack(
         [between_columns(np.ascontiguousarray(exact[..., k]), first_col, surface.stride, col0, height.shape[1]) for k in range(6)]
     )
-    normal, upright, share, known, complete = _smooth_ground(
+    normal, up, share, known, complete = _smooth_ground(
         across, first_row, surface.stride, row0, height, shown, reach,
         world.up_from(frame), None if sky is None else sky.finder.cells, *_finder_of(sky, frame, map_pixel_m(world, view)),
     )  # fmt: skip
     if not complete:
         return None
     there[window] = known
-    # At one height for the level, so that no place looks otherwise in another block.
-    points = across[:3] + 0.5 * (elevation.overview.lowest_m + float(np.nanmax(elevation.overview.high_m))) * across[3:]
-    return BareGround(
-        view, frame, there, window, height[reach:-reach, reach:-reach].copy(), normal, upright, share,
-        _up_vectors(points[:, :, reach:-reach], world.up_from(frame), first_row, surface.stride, row0 + reach),
-    )  # fmt: skip
-
-
-def _up_vectors(feet: np.ndarray, centre: np.ndarray, first_row: int, stride: int, row0: int) -> UpVectors:
-    """Up at points (3, m, cols)."""
-    away = np.moveaxis(feet, 0, -1) - centre
-    return UpVectors(away / np.linalg.norm(away, axis=-1, keepdims=True), first_row, stride, row0)
-
-
-@compiled
-def sines_of_row(sines, row, out):
-    """Sines (cols,) of a direction's altitude in a row of a window."""
-    at = sines.row0 + row
-    coarse = at // sines.stride
-    between_rows(sines.sine, coarse - sines.first_row, (at - coarse * sines.stride) / sines.stride, out)
+    return BareGround(view, frame, there, window, height[reach:-reach, reach:-reach].copy(), normal, up, share)
 
 
 def _finder_of(sky: SkyView | None, frame: LocalFrame, pixel_m: float) -> tuple[Any, ...]:
@@ -166,7 +119,7 @@ def _smooth_ground(
     across, first_row, stride, row0, height, shown, reach, centre,
     lattice, frame_from_earth, origin, plane, axes, first, step, values, level, cells_a_node,
 ):  # fmt: skip
-    """Normals, cosines to the zenith, shares of the sky and where there is ground (rows, cols) in a window that has ``reach`` nodes
+    """Normals, directions up, shares of the sky and where there is ground (rows, cols) in a window that has ``reach`` nodes
     round it; and whether all of it has normals.
     """
     side = 2 * reach + 1
@@ -174,7 +127,7 @@ def _smooth_ground(
     points = np.empty((side, 3, height.shape[1]))  # of the rows round the one that is worked on
     whole = np.empty(side, np.bool_)  # which of these have all their points
     normal, share = np.zeros((rows, cols, 3), np.float32), np.zeros((rows, cols), np.float32)
-    upright = np.zeros((rows, cols), np.float32)
+    up = np.zeros((rows, cols, 3), np.float32)
     there = np.empty((rows, cols), np.bool_)
     own_normal, place = np.empty((3, cols), np.float32), np.empty((2, cols))  # of the row that is worked on
     complete = True
@@ -198,15 +151,14 @@ def _smooth_ground(
         complete = complete and row_complete
         _put_normals(own_normal, there[at], normal[at])
         x, y, z = here[0, reach : reach + cols], here[1, reach : reach + cols], here[2, reach : reach + cols]
-        _upright_of_row(x, y, z, own_normal, (centre[0], centre[1], centre[2]), upright[at])
-        for j in range(cols):  # what slopes leave of the sky by themselves
-            share[at, j] = 0.5 + 0.5 * upright[at, j]
+        _open_sky_of_row(x, y, z, own_normal, (centre[0], centre[1], centre[2]), share[at])
+        _up_of_row(x, y, z, (centre[0], centre[1], centre[2]), up[at])
         if lattice is not None:
             own_height = height[at + reach, reach : reach + cols]
             _places_of_row(x, y, z, own_height, frame_from_earth, origin, plane, axes, first, step, place)
             _cells_of_row(place, first, step, lattice, cells_a_node)
             _hide_row(place[0], place[1], values, level, share[at])
-    return normal, upright, share, there, complete
+    return normal, up, share, there, complete
 
 
 @compiled
@@ -223,12 +175,21 @@ def _all_known(z, height):
 
 
 @compiled
-def _upright_of_row(px, py, pz, normal, centre, out):
-    """Cosines of normals (3, cols) to the zenith."""
+def _open_sky_of_row(px, py, pz, normal, centre, share):
+    """What slopes leave of the sky by themselves."""
     nx, ny, nz = normal[0], normal[1], normal[2]
-    for j in range(out.size):
+    for j in range(share.size):
         x, y, z = px[j] - centre[0], py[j] - centre[1], pz[j] - centre[2]
-        out[j] = (nx[j] * x + ny[j] * y + nz[j] * z) / np.sqrt(x * x + y * y + z * z)
+        share[j] = 0.5 + 0.5 * (nx[j] * x + ny[j] * y + nz[j] * z) / np.sqrt(x * x + y * y + z * z)
+
+
+@compiled
+def _up_of_row(px, py, pz, centre, out):
+    """Unit vectors up."""
+    for j in range(px.size):
+        x, y, z = px[j] - centre[0], py[j] - centre[1], pz[j] - centre[2]
+        length = np.sqrt(x * x + y * y + z * z)
+        out[j, 0], out[j, 1], out[j, 2] = x / length, y / length, z / length
 
 
 @compiled
