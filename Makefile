@@ -9,7 +9,7 @@ VIEWER    := api/static/index.html
 
 MODULES        := viewer/node_modules/.package-lock.json
 MAP_CLIENTS    := tests/browser/clients/node_modules/.package-lock.json
-VIEWER_SOURCES := $(wildcard viewer/*.html viewer/*.js viewer/src/*)
+VIEWER_SOURCES := $(wildcard viewer/*.html viewer/*.ts viewer/tsconfig.json viewer/src/* viewer/src/*/*)
 # Node comes from the wheel in the virtual environment, also where another one is installed: the same build everywhere.
 NPM := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --no-audit --no-fund --no-update-notifier
 

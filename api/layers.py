@@ -231,10 +231,20 @@ LAYERS: dict[str, Layer] = {
     ),
     "depth": Layer(data=_depth, suffixes=(".npy", ".tif"), nodata=np.nan),
     "position": Layer(data=_position, suffixes=(".npy",)),
-    "shadow-map": Layer(data=_kept("shadow-map"), suffixes=(".npy", ".png"), shown=_gray_of_depths),
-    "stencil": Layer(data=_kept("stencil"), suffixes=(".npy", ".png"), shown=_spread),
-    "silhouettes": Layer(data=_kept("silhouettes"), suffixes=(".npy", ".png")),
-    "volumes": Layer(data=_kept("volumes"), suffixes=(".npy", ".png"), shown=_over_color),
+    "shadow-map": Layer(
+        about="depths of shadow maps, nearest to the light brightest", data=_kept("shadow-map"), suffixes=(".npy", ".png"),
+        shown=_gray_of_depths,
+    ),
+    "stencil": Layer(
+        about="the stencil that shadow volumes count in", data=_kept("stencil"), suffixes=(".npy", ".png"), shown=_spread
+    ),
+    "silhouettes": Layer(
+        about="edges of casters as the light sees them; of a hybrid, the pixels left to its volumes",
+        data=_kept("silhouettes"), suffixes=(".npy", ".png"),
+    ),
+    "volumes": Layer(
+        about="shadow volumes over the picture", data=_kept("volumes"), suffixes=(".npy", ".png"), shown=_over_color
+    ),
     "shadow-height": Layer(data=_kept("shadow-height"), suffixes=(".npy", ".tif"), nodata=np.nan),
 }  # fmt: skip
 """All layers. What the service serves, what the command line writes, and what either says of them, is read off here."""
@@ -245,11 +255,23 @@ PICTURE_LAYERS = tuple(name for name, layer in LAYERS.items() if layer.picture)
 MAP_LAYERS = tuple(name for name, layer in LAYERS.items() if layer.map_formats)
 """Layers that are served over HTTP as tiles and maps."""
 
+BETWEEN_LAYERS = tuple(name for name, layer in LAYERS.items() if name in PASS_LAYERS and ".png" in layer.suffixes)
+"""Layers that passes leave behind on the way to a picture, which are served over HTTP of views, as PNG."""
+
+VIEW_LAYERS = (*PICTURE_LAYERS, *BETWEEN_LAYERS)
+"""All layers that are served over HTTP of views."""
+
+
+def view_formats(layer: str) -> tuple[PictureFormat, ...]:
+    """The formats that a layer of ``VIEW_LAYERS`` is served in."""
+    return ("png",) if layer in BETWEEN_LAYERS else LAYERS[layer].formats
+
+
 if TYPE_CHECKING:
-    PictureLayer = str
+    ViewLayer = str
     MapLayer = str
 else:
-    PictureLayer = Literal[PICTURE_LAYERS]
+    ViewLayer = Literal[VIEW_LAYERS]
     MapLayer = Literal[MAP_LAYERS]
 
 

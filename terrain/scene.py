@@ -239,15 +239,26 @@ class Scene:
         for parameter, value in (("bounds", bounds), ("crs", crs)):
             if value is not None:
                 raise InputError(parameter, value, f"nothing: '{name}' is a perspective view")
-        return self._perspective_view(name, spec, size)
+        where = f"{self.loaded.path}: views.{name}"
+        return self._perspective_view(spec, size, f"{where}.eye", f"{where}.target")
 
-    def _perspective_view(self, name: str, spec: PerspectiveSpec, size: tuple[int, int] | None) -> PerspectiveView:
+    def view_from(self, spec: PerspectiveSpec, size: tuple[int, int] | None = None) -> PerspectiveView:
+        """A perspective view that the level does not list. Raises ``InputError``, naming ``eye`` or ``target`` where either lies
+        off the ground's data.
+        """
+        try:
+            return self._perspective_view(spec, size, "eye", "target")
+        except LevelError as error:  # whoever asks is to blame, not the level
+            raise InputError(error.name, error.value, error.allowed) from None
+
+    def _perspective_view(
+        self, spec: PerspectiveSpec, size: tuple[int, int] | None, eye_is: str, target_is: str
+    ) -> PerspectiveView:
         width, height = size or spec.size
         if max(width, height) > MAX_PERSPECTIVE_PX:
             raise InputError("size", f"{width}x{height}", f"at most {MAX_PERSPECTIVE_PX} a side in a perspective view")
-        where = f"{self.loaded.path}: views.{name}"
-        eye, up = self.place.above_ground(spec.eye, f"{where}.eye")
-        target, _ = self.place.above_ground(spec.target, f"{where}.target")
+        eye, up = self.place.above_ground(spec.eye, eye_is)
+        target, _ = self.place.above_ground(spec.target, target_is)
         return look_at(eye, target, up, spec.fov, height, width)
 
     def _map_view(

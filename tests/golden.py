@@ -21,8 +21,13 @@ FOLDER = Path(__file__).parent / "golden"
 OUTPUT = Path(__file__).parent / "output"
 
 
-def assert_golden(name: str, picture: np.ndarray, renderer: str, regenerate: bool) -> None:
-    """Compare a uint8 picture (gray, RGB or RGBA) with ``golden/NAME.png``."""
+def assert_golden(
+    name: str, picture: np.ndarray, renderer: str, regenerate: bool, tolerance: int = TOLERANCE, most_off: float = 0.0
+) -> None:
+    """Compare a uint8 picture (gray, RGB or RGBA) with ``golden/NAME.png``.
+
+    A share ``most_off`` of its pixels may differ by more than ``tolerance`` of 255.
+    """
     if RENDERER not in renderer:
         pytest.skip(f"golden pictures are compared on {RENDERER}; this is {renderer}")
     path = FOLDER / f"{name}.png"
@@ -34,7 +39,8 @@ def assert_golden(name: str, picture: np.ndarray, renderer: str, regenerate: boo
     expected = np.asarray(Image.open(path))
     assert expected.shape == picture.shape, f"{name}: {picture.shape} instead of {expected.shape}"
     difference = np.abs(expected.astype(int) - picture.astype(int))
-    if difference.max() <= TOLERANCE:
+    share = (difference.reshape(*picture.shape[:2], -1).max(axis=-1) > tolerance).mean()
+    if share <= most_off:
         return
     OUTPUT.mkdir(exist_ok=True)
     magnified = np.rint(255 * (difference / 255) ** 0.25).astype(np.uint8)
@@ -42,8 +48,7 @@ def assert_golden(name: str, picture: np.ndarray, renderer: str, regenerate: boo
         magnified = magnified.max(axis=2)
     for kind, image in (("actual", picture), ("expected", expected), ("difference", magnified)):
         Image.fromarray(image).save(OUTPUT / f"{name}.{kind}.png")
-    share = (difference.reshape(*picture.shape[:2], -1).max(axis=-1) > TOLERANCE).mean()
     pytest.fail(
-        f"{name}: {100 * share:.3f} % of the pixels differ by more than {TOLERANCE} of 255, at most by "
+        f"{name}: {100 * share:.3f} % of the pixels differ by more than {tolerance} of 255, at most by "
         f"{difference.max()}; see {OUTPUT}/{name}.{{actual,expected,difference}}.png"
     )

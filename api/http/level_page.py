@@ -7,6 +7,7 @@ from html import escape
 from urllib.parse import quote
 
 from api.http.ogc_requests import layer_name
+from api.http.parameters import TileQuery
 from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from api.http.wmts_capabilities import hangs_on_time
 from api.layers import LAYERS, MAP_LAYERS
@@ -55,9 +56,13 @@ def level_page(level: ServedLevel, base_url: str) -> str:
     )
 
 
-def snippets(level: ServedLevel, base_url: str) -> Iterator[tuple[str, str]]:
-    """Lines for map clients, each with the client's name."""
+def snippets(level: ServedLevel, base_url: str, shown: TileQuery | None = None) -> Iterator[tuple[str, str]]:
+    """Lines for map clients, each with the client's name; those of XYZ tiles have what is ``shown`` in their addresses (default:
+    the level as it is), while clients of WMTS and WMS choose layer and time by themselves.
+    """
     assert level.bounds is not None
+    query = "" if shown is None else shown.query()
+    asked = query and f"?{query}"
     address = f"{base_url}/levels/{quote(level.name)}"
     wmts, wms = f"{address}/WMTSCapabilities.xml", f"{address}/wms"
     attribution = (level.loaded.level.attribution or "").replace("\\", "\\\\").replace("'", "\\'")
@@ -65,7 +70,8 @@ def snippets(level: ServedLevel, base_url: str) -> Iterator[tuple[str, str]]:
     if DEFAULT_MATRIX_SET in level.zooms:
         zooms = level.zooms[DEFAULT_MATRIX_SET]
         tiles = f"{address}/tiles/{DEFAULT_MATRIX_SET}/{{z}}/{{x}}/{{y}}"
-        tilejson = f"{address}/{DEFAULT_MATRIX_SET}/tilejson.json"
+        picture = f"{tiles}.png{asked}"
+        tilejson = f"{address}/{DEFAULT_MATRIX_SET}/tilejson.json{asked}"
         yield (
             "MapLibre",
             f"map.addSource('skugga', {{type: 'raster', url: '{tilejson}', tileSize: 256}});\n"
@@ -78,12 +84,12 @@ def snippets(level: ServedLevel, base_url: str) -> Iterator[tuple[str, str]]:
         )
         yield (
             "Leaflet",
-            f"L.tileLayer('{tiles}.png', {{minZoom: {zooms.first}, maxZoom: {zooms.last}, "
+            f"L.tileLayer('{picture}', {{minZoom: {zooms.first}, maxZoom: {zooms.last}, "
             f"bounds: [[{south:.6g}, {west:.6g}], [{north:.6g}, {east:.6g}]], attribution: '{attribution}'}}).addTo(map);",
         )
         yield (
             "OpenLayers",
-            f"map.addLayer(new ol.layer.Tile({{source: new ol.source.XYZ({{url: '{tiles}.png', minZoom: {zooms.first}, "
+            f"map.addLayer(new ol.layer.Tile({{source: new ol.source.XYZ({{url: '{picture}', minZoom: {zooms.first}, "
             f"maxZoom: {zooms.last}, attributions: '{attribution}'}})}}));",
         )
         yield (
@@ -95,10 +101,10 @@ def snippets(level: ServedLevel, base_url: str) -> Iterator[tuple[str, str]]:
         )
         yield (
             "ipyleaflet",
-            f"m.add(ipyleaflet.TileLayer(url='{tiles}.png', min_zoom={zooms.first}, max_zoom={zooms.last}, "
+            f"m.add(ipyleaflet.TileLayer(url='{picture}', min_zoom={zooms.first}, max_zoom={zooms.last}, "
             f"attribution='{attribution}'))",
         )
-        yield "QGIS, XYZ tiles", f"{tiles}.png"
+        yield "QGIS, XYZ tiles", picture
     yield "QGIS and ArcGIS, WMTS with times", wmts
     yield "WMS", f"{wms}?SERVICE=WMS&REQUEST=GetCapabilities"
     yield "GDAL", f'gdal_translate "WMTS:{wmts},layer={layer_name(level, "color")}" level.tif'

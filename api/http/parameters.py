@@ -14,7 +14,7 @@ from pydantic import BeforeValidator
 from api.http.moments import PLAIN_DATE, asked_sun
 from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD
 from api.http.service import service_of
-from api.layers import LAYERS, MAP_LAYERS, PICTURE_LAYERS, PictureLayer
+from api.layers import BETWEEN_LAYERS, LAYERS, MAP_LAYERS, PICTURE_LAYERS, ViewLayer
 from api.shadow_parameters import takes_settings
 from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery, SunQuantity
 from api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
@@ -209,7 +209,14 @@ def _layers_in_words(names: Iterable[str]) -> str:
     return "; ".join(f"`{name}` is {LAYERS[name].about}" for name in names)
 
 
-LayerQuery = Annotated[PictureLayer, Query(description=f"{_layers_in_words(PICTURE_LAYERS)}.", examples=["mask"])]
+LayerQuery = Annotated[
+    ViewLayer,
+    Query(
+        description=f"{_layers_in_words(PICTURE_LAYERS)}. What passes leave behind, as PNG, where the plan's algorithms have it: "
+        f"{_layers_in_words(BETWEEN_LAYERS)}.",
+        examples=["mask"],
+    ),
+]
 
 TILE_LAYERS = (*MAP_LAYERS, SUN_HOURS_LAYER)
 """Layers of tiles and maps."""

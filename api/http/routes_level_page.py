@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from fastapi import APIRouter, Depends, Request, Response
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
-from api.http.answers import base_url, document_answer
+from api.http.answers import base_url, document_answer, json_answer
 from api.http.documented import LEVEL_ERRORS, LevelPath, file_docs, problem_docs
-from api.http.level_page import level_page
+from api.http.level_page import level_page, snippets
 from api.http.ogc_requests import this_year
-from api.http.parameters import allow_only
+from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
 from api.http.qgis_layers import qgis_layers
 from api.http.served_levels import ServedLevel
 from api.http.service import Service, TheService
 from terrain.errors import UnsupportedError
 
-router = APIRouter(
-    tags=["levels"], dependencies=[Depends(allow_only())], responses=problem_docs(*LEVEL_ERRORS), default_response_class=Response
-)
+router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS), default_response_class=Response)
+
+NO_PARAMETERS = [Depends(allow_only())]
 
 QLR_MEDIA = "application/x-qgis-layer-definition"
 
 
-@router.get("/levels/{level}.html", summary="A level as a page", responses=file_docs("The page.", ["text/html"]))
+@router.get(
+    "/levels/{level}.html", summary="A level as a page", responses=file_docs("The page.", ["text/html"]), dependencies=NO_PARAMETERS
+)
 async def page_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
     """Its picture, facts, and lines to copy into MapLibre, Leaflet, OpenLayers, QGIS and ipyleaflet."""
     return await page_answer(request, service, await service.level(level))
 
 
-@router.get("/levels/{level}.qlr", summary="A level's layers for QGIS", responses=file_docs("The file.", [QLR_MEDIA]))
+@router.get(
+    "/levels/{level}.qlr",
+    summary="A level's layers for QGIS",
+    responses=file_docs("The file.", [QLR_MEDIA]),
+    dependencies=NO_PARAMETERS,
+)
 async def qgis_layers_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
     """A file to be dragged into QGIS: shaded relief, shadows and hours of sun by WMTS, with times, and heights."""
     served = await service.level(level)
@@ -36,6 +47,34 @@ async def qgis_layers_of_level(request: Request, service: TheService, level: Lev
         raise UnsupportedError("level", level, "an engineering CRS is not georeferenced, so there are no tiles")
     base = base_url(request, service.settings.public_url)
     return document_answer(request, await run_in_threadpool(qgis_layers, served, base, this_year()), QLR_MEDIA)
+
+
+class ClientLines(BaseModel):
+    """Lines to copy into a map client."""
+
+    client: str
+    text: str
+
+
+@router.get(
+    "/levels/{level}/lines.json",
+    summary="Lines for map clients",
+    response_model=list[ClientLines],
+    responses=file_docs("The lines.", ["application/json"]),
+    dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
+    response_class=JSONResponse,
+)
+async def lines_of_level(
+    request: Request, service: TheService, level: LevelPath, shown: Annotated[TileQuery, Depends(tile_query)]
+) -> Response:
+    """Lines to copy into MapLibre, Leaflet, OpenLayers, QGIS, GDAL and others, as the level's page has them; those of XYZ tiles
+    show what the query asks of the tiles.
+    """
+    served = await service.level(level)
+    if served.world.flat:
+        raise UnsupportedError("level", level, "an engineering CRS is not georeferenced, so there are no tiles")
+    lines = snippets(served, base_url(request, service.settings.public_url), shown)
+    return json_answer(request, [{"client": client, "text": text} for client, text in lines])
 
 
 async def page_answer(request: Request, service: Service, level: ServedLevel, **headers: str) -> Response:

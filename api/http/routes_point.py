@@ -30,7 +30,7 @@ router = APIRouter(tags=["points"], responses=problem_docs(*WORK_ERRORS))
 POINTS_A_JOB = 200
 """Points that a render process takes at a time: between them others have their turn."""
 
-SKY_MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
+SKY_MEDIA = {"svg": "image/svg+xml", "png": "image/png", "json": "application/json"}
 
 POINT_PARAMETERS = ("lon", "lat", "time", "date", "height", "clock", "year")
 
@@ -181,11 +181,15 @@ async def sky_of_point(
     request: Request,
     service: TheService,
     level: LevelPath,
-    format: Annotated[Literal["svg", "png"], Path(description="Of the picture.", examples=["svg"])],
+    format: Annotated[Literal["svg", "png", "json"], Path(description="Of the picture; `json`: its figures.", examples=["svg"])],
     point: ThePoint,
     time: TimeQuery = None,
 ) -> Response:
-    """A chart of the sky: the horizon, and the sun's paths of the day, the solstices and the equinox with their hours."""
+    """A chart of the sky: the horizon, and the sun's paths of the day, the solstices and the equinox with their hours.
+
+    As JSON its figures, for charts of one's own: `horizon`, degrees towards each `azimuth` of ground, buildings and leaves, and
+    `path`, the day's sun every five minutes with `azimuth`, `altitude`, and whether it shines on the point.
+    """
     return await _answer(request, service, level, point, time, "sky", format, SKY_MEDIA[format])
 
 

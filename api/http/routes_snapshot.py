@@ -7,30 +7,34 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
+from api.http.cameras import CAMERA_PARAMETERS, camera_query
 from api.http.documented import LevelPath, file_docs, for_example
 from api.http.moments import time_headers
 from api.http.numbers import PLAIN_DECIMAL
 from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, ViewQuery, allow_only, check_pixels, parse_size, picture_query
 from api.http.routes_tiles import JPEG, PICTURE_DOCS
 from api.http.service import TheService
-from api.layers import LAYERS, MEDIA_TYPES, PICTURE_LAYERS, PictureFormat
-from api.workers.block_tiles import check_format
+from api.layers import LAYERS, MEDIA_TYPES, VIEW_LAYERS, PictureFormat, view_formats
 from api.workers.jobs import PictureRequest, Snapshot, SnapshotJob
 from selector.formatting import format_list
 from terrain.errors import InputError
+from terrain.level.parts import PerspectiveSpec
 
 router = APIRouter(
     tags=["snapshots"], responses=PICTURE_DOCS | file_docs("The picture.", MEDIA_TYPES.values()), default_response_class=Response
 )
 
-OF_ONE_LIGHT = format_list([f"`{name}`" for name in PICTURE_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
+MADE_VIEW = "made"
+"""What a view that a request makes is called in its plan."""
+
+OF_ONE_LIGHT = format_list([f"`{name}`" for name in VIEW_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
 """Layers that show the shadow of one light, in words."""
 
 
 @router.get(
     "/levels/{level}/snapshot.{format}",
     summary="A view of a level",
-    dependencies=[Depends(allow_only("view", "size", "layer", "light", "seconds", *PICTURE_PARAMETERS))],
+    dependencies=[Depends(allow_only("view", *CAMERA_PARAMETERS, "size", "layer", "light", "seconds", *PICTURE_PARAMETERS))],
     openapi_extra=for_example("size"),
 )
 async def snapshot(
@@ -39,6 +43,7 @@ async def snapshot(
     level: LevelPath,
     format: Annotated[PictureFormat, Path(description=f"PNG and WebP are lossless; JPEG is for {JPEG} alone.", examples=["png"])],
     wanted: Annotated[PictureRequest, Depends(picture_query)],
+    seen_from: Annotated[PerspectiveSpec | None, Depends(camera_query)],
     view: ViewQuery = None,
     size: Annotated[
         str | None, Query(max_length=20, description="WxH in pixels; default: the view's own.", examples=["256x256"])
@@ -56,19 +61,24 @@ async def snapshot(
         Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Clock of moving casters; default: the level's.", examples=[0]),
     ] = None,
 ) -> Response:
-    """A map or perspective view as the level has it, but for what the query asks."""
+    """A map or perspective view as the level has it, but for what the query asks; or one that the query itself makes, of an `eye`
+    and a `target`: as a view of a level file they are lists, `eye: [8.43, 47.5, 300]`.
+    """
     served = await service.level(level)
-    check_format(layer, format)
-    name = served.view_named(view)
+    if format not in view_formats(layer):
+        raise InputError("format", format, f"{', '.join(view_formats(layer))} for layer {layer}")
+    if seen_from is not None and view is not None:
+        raise InputError("view", view, "nothing beside eye and target, which are a view of their own")
+    name = MADE_VIEW if seen_from is not None else served.view_named(view)
     given_size = None if size is None else parse_size(size)
-    pixels = given_size or served.view_sizes[name]
+    pixels = given_size or (served.view_sizes[name] if seen_from is None else seen_from.size)
     if pixels is not None:
         check_pixels(pixels, service.settings.max_snapshot_pixels)
     lights = served.lights(wanted.sun)
     if light is not None and light not in lights:
         raise InputError("light", light, ", ".join(lights))
     job = SnapshotJob(
-        level=served.key, view=name, layer=layer, format=format, size=given_size,
+        level=served.key, view=name, seen_from=seen_from, layer=layer, format=format, size=given_size,
         light=None if LAYERS[layer].to_look_at else light, seconds=seconds, request=wanted,
     )  # fmt: skip
 

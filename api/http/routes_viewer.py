@@ -13,6 +13,7 @@ from starlette.staticfiles import StaticFiles
 
 from api.http.served_levels import DEFAULT_MATRIX_SET
 from api.http.service import TheService
+from api.http.watching import page_policy
 
 STATIC_FOLDER = Path(__file__).parents[1] / "static"
 
@@ -34,7 +35,9 @@ def install_viewer(app: FastAPI, folder: Path) -> None:
     async def index(service: TheService) -> Response:
         page = folder / "index.html"
         if await run_in_threadpool(page.is_file):
-            return FileResponse(page, headers={"Cache-Control": "no-cache"})
+            # Tiles of a base map come from whichever server somebody names; scripts never do.
+            policy = page_policy(tiles="'self' https: http:")
+            return FileResponse(page, headers={"Cache-Control": "no-cache", "Content-Security-Policy": policy})
         levels = await service.all_levels()
         items = "".join(
             f'<li>{escape(level.loaded.level.title or level.name)}: '

@@ -16,7 +16,7 @@ from pyproj import CRS
 from api.errors import NotServedError
 from api.file_stamps import Stamp, file_stamps, level_version, watched_files
 from api.http.level_checks import LevelCheck
-from api.layers import MAP_LAYERS, PICTURE_LAYERS
+from api.layers import BETWEEN_LAYERS, MAP_LAYERS, PICTURE_LAYERS
 from api.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from api.workers.jobs import LevelKey
@@ -123,6 +123,7 @@ class ServedLevel:
             "view_kinds": {name: {"kind": view.kind, "size": self.view_sizes[name]} for name, view in level.views.items()},
             "lights": {name: {"kind": kind} for name, kind in kinds.items()},
             "layers": list(PICTURE_LAYERS),
+            "layers_between": list(BETWEEN_LAYERS),
             "styles": list(STYLES),
             "style": self.style,
             "map_layers": [*MAP_LAYERS, SUN_HOURS_LAYER],

@@ -24,11 +24,17 @@ SANE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 KEPT = "skugga.kept"
 """Key of a scope: the route that a kept answer stands for, before any was looked for."""
 
-PAGES = (
-    "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; worker-src 'self' blob:; child-src blob:; "
-    "object-src 'none'; base-uri 'self'; frame-ancestors 'self'"
-)
-"""What the service's pages may load: nothing from elsewhere. The map draws in workers that it makes of its own code."""
+
+def page_policy(tiles: str = "'self'") -> str:
+    """What a page may load (Content Security Policy, level 3): nothing from elsewhere, but pictures and data from ``tiles``.
+
+    The map draws in workers that it makes of its own code.
+    """
+    return (
+        f"default-src 'self'; img-src {tiles} data: blob:; connect-src {tiles}; style-src 'self' 'unsafe-inline'; "
+        "worker-src 'self' blob:; child-src blob:; object-src 'none'; base-uri 'self'; frame-ancestors 'self'"
+    )
+
 
 CLIENT_GONE = 499
 """Status in logs and metrics of a request whose client has gone, as nginx has it; nobody reads it."""
@@ -138,7 +144,7 @@ def _complete(headers: MutableHeaders, scope: Scope, number: str, took_ms: float
     if asked is not None and TIME_HEADER not in headers:
         headers[TIME_HEADER] = asked.time.isoformat()
     if headers.get("Content-Type", "").startswith("text/html"):
-        headers["Content-Security-Policy"] = PAGES
+        headers.setdefault("Content-Security-Policy", page_policy())
         headers["Referrer-Policy"] = "same-origin"
 
 

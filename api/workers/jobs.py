@@ -10,14 +10,14 @@ from urllib.parse import urlencode
 from pydantic import BaseModel, ConfigDict, field_validator
 
 from api.errors import OUTCOMES
-from api.layers import MapFormat, MapLayer, PictureFormat, PictureLayer
+from api.layers import MapFormat, MapLayer, PictureFormat, ViewLayer
 from api.point.report import PointQuery
 from api.point.track import TrackPoint
 from api.sun_hours_layer import SunHoursQuery
 from terrain.errors import InputError, RenderError, SkuggaError
 from terrain.level.level import Shadows, override, parse_algorithm
 from terrain.level.level_source import LevelSource
-from terrain.level.parts import SlopeExaggeration, StyleName, SunSpec
+from terrain.level.parts import PerspectiveSpec, SlopeExaggeration, StyleName, SunSpec
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
@@ -144,7 +144,7 @@ class DescribedPlanJob(_Value):
 
 
 class SnapshotJob(_Value):
-    """Draw a level's view and encode one layer of it.
+    """Draw a level's view, or another one that is ``seen_from`` elsewhere, and encode one layer of it.
 
     ``size`` is (width, height) in pixels, ``seconds`` the clock of moving casters; ``None`` leaves either to the level.
     ``light`` is the one whose visibility the layer shows, ``None`` the first.
@@ -152,7 +152,8 @@ class SnapshotJob(_Value):
 
     level: LevelKey
     view: str
-    layer: PictureLayer
+    seen_from: PerspectiveSpec | None = None
+    layer: ViewLayer
     format: PictureFormat
     size: tuple[int, int] | None = None
     light: str | None = None
@@ -196,7 +197,9 @@ PointProduct = Literal["report", "horizon", "sky"]
 
 
 class PointJob(_Value):
-    """Look at the sun from a point: its report as JSON, its horizon in a ``format`` of files, or its sky's chart as svg or png."""
+    """Look at the sun from a point: its report as JSON, its horizon in a ``format`` of files, its sky's chart as svg or png, or
+    the chart's figures as json.
+    """
 
     level: LevelKey
     query: PointQuery

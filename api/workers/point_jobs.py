@@ -8,6 +8,7 @@ from typing import Any
 from api.point.horizon_formats import directions_for, horizon_file
 from api.point.polar_picture import sky_picture
 from api.point.report import around_point, clock_asked, day_asked, report_or_null
+from api.point.sky_figures import sky_figures
 from api.point.track import sun_at_points
 from api.workers.jobs import PointAnswer, PointJob, PointsJob
 from shadows.point.horizon import horizon_round
@@ -15,16 +16,18 @@ from terrain.scene import Scene
 
 
 def point_answer(job: PointJob, scene: Scene) -> PointAnswer:
-    """A point's report (of nulls off the data), its horizon file or its sky's chart. Raises ``InputError``."""
+    """A point's report (of nulls off the data), its horizon file, or its sky's chart or figures. Raises ``InputError``."""
     if job.product == "report":
         return PointAnswer(report_or_null(scene, job.query).model_dump_json().encode())
     around = around_point(scene, job.query)
     if job.product == "horizon":
         return PointAnswer(horizon_file(job.format, horizon_round(around, directions_for(job.format)), around.place).encode())
     day = day_asked(scene, job.query, around.place.lon_deg)
+    clock = clock_asked(scene, job.query, around.place.lon_deg, day)
+    if job.format == "json":
+        return PointAnswer(sky_figures(around, horizon_round(around), day, clock).model_dump_json().encode())
     format: Any = job.format
     title = scene.loaded.level.title or scene.loaded.name
-    clock = clock_asked(scene, job.query, around.place.lon_deg, day)
     return PointAnswer(sky_picture(around, horizon_round(around), day, clock, format, title))
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from api.device_calibration import calibration
 from api.errors import TooCostlyError
-from api.layers import LAYERS, encode_picture, picture_layer
+from api.layers import LAYERS, PASS_LAYERS, encode_picture, frame_layer, viewable
 from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
 from api.workers.block_tiles import PicturedBlock, cut_tiles, encoded_tiles
 from api.workers.drawn_blocks import block_of_grid, drawn_block, grid_of_zoom
@@ -216,12 +216,13 @@ def run_job(job: Job, state: WorkerState) -> Result:
             return _map(job, scene, state)
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
-            view = scene.view(job.view, size=job.size)
+            view = scene.view(job.view, size=job.size) if job.seen_from is None else scene.view_from(job.seen_from, job.size)
             plan = plan_in_service(scene, view, job.view, overrides, job.level, state.basis)
             _check_cost(plan, f"{view.cols}x{view.rows}", state)
-            frame = render_frame(scene, view, plan)
+            frame = render_frame(scene, view, plan, layers=PASS_LAYERS & {job.layer})
             start = clock.perf_counter()
-            body = encode_picture(picture_layer(frame.under(job.light), job.layer), f".{job.format}")
+            array = frame_layer(scene, frame.under(job.light), job.layer)
+            body = encode_picture(viewable(job.layer, array, frame.color), f".{job.format}")
             return Snapshot(
                 body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame.plan, frame, state, job.level)
             )

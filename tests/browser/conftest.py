@@ -10,16 +10,16 @@ import math
 import os
 import re
 import time
-from collections.abc import Generator, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Error, FloatRect, Page, ViewportSize, sync_playwright
+from playwright.sync_api import Browser, Error, FloatRect, Page, ViewportSize, expect, sync_playwright
 
 from api.catalogue import find_level
 from api.http.app import create_app
@@ -87,47 +87,52 @@ class Shown:
     """The level's part of the map, (rows, cols, 3) uint8."""
 
     queries: set[tuple[tuple[str, str], ...]]
-    """The queries of the tiles that were asked for since the picture before."""
+    """The queries of the tiles that were asked for since the picture before; none where they were known."""
 
 
 class Viewer(WatchedPage):
     """The viewer on a page."""
 
     def __init__(self, page: Page, client: Client) -> None:
-        self._address = str(client.base_url)
-        super().__init__(page, [self._address])
+        self.address = str(client.base_url)
+        super().__init__(page, [self.address])
         self._bounds: list[float] = next(level["bounds"] for level in client.get("/levels").json() if level["name"] == LEVEL)
 
-    def open(self) -> Shown:
-        """Open the page, and wait for its map."""
-        self.page.goto(self._address)
+    def open(self, fragment: str = "") -> Shown:
+        """Open the page, of an address's part after ``#``, and wait for its map."""
+        self.page.goto(f"{self.address}/{fragment}")
         return self.shown()
 
-    def shown(self) -> Shown:
-        """The map, once tiles have been asked for since the last time, all are there, and the picture stands still."""
+    def settled(self) -> None:
+        """Wait until the map shows what the page is set to."""
         end = time.monotonic() + DRAWN_S
-        before, alike = None, 0
-        while alike < STILL:
+        while True:
             self.check()
             failed = self.page.locator("#status.failed:visible")
             if failed.count():
                 pytest.fail(f"the page says: {failed.inner_text()}", pytrace=False)
-            busy = self.page.locator("#status").is_visible() or bool(self.waiting)
-            tiles = [address for address in self.asked if "/tiles/" in address]
+            data = self.page.evaluate("() => new Promise(requestAnimationFrame).then(() => ({...document.body.dataset}))")
+            if data.get("shown") and data.get("busy") != "true" and not self.waiting:
+                return
             if time.monotonic() > end:
-                pytest.fail(f"not drawn after {DRAWN_S} s: {len(tiles)} tiles asked for, {busy=}")
-            self.page.evaluate("() => new Promise(requestAnimationFrame)")
-            if busy or not tiles:
-                before, alike = None, 0
-                continue
-            pixels = self.pixels(self._place())
+                pytest.fail(f"not drawn after {DRAWN_S} s: {data}, {len(self.waiting)} requests wait")
+
+    def shown(self) -> Shown:
+        """The level on the map, once all is there and the picture stands still."""
+        end = time.monotonic() + DRAWN_S
+        before, alike = None, 0
+        while alike < STILL:
+            self.settled()
+            pixels = self.pixels(self.place())
             alike = alike + 1 if before is not None and np.array_equal(before, pixels) else 1
             before = pixels
+            assert time.monotonic() < end, "the picture does not stand still"
+        tiles = [address for address in self.asked if "/tiles/" in address]
         self.asked.clear()
         assert before is not None
         return Shown(before, {tuple(sorted(parse_qsl(urlsplit(tile).query))) for tile in tiles})
 
-    def _place(self) -> FloatRect:
+    def place(self) -> FloatRect:
         """Where the level lies in the window, by the view in the page's address."""
         found = re.search(r"map=([\d.]+)/(-?[\d.]+)/(-?[\d.]+)", self.page.url)
         assert found, self.page.url
@@ -151,6 +156,7 @@ def chromium() -> Iterator[Browser]:
     """The browser."""
     if not CHROMIUM.exists():
         missing(f"there is no {CHROMIUM}: 'make test-browser' installs it, or 'apt-get install chromium'")
+    expect.set_options(timeout=1000 * DRAWN_S)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=IN_SOFTWARE)
         try:
@@ -171,14 +177,28 @@ def service() -> Iterator[Client]:
 
 
 @pytest.fixture
-def viewer(chromium: Browser, service: Client) -> Iterator[Viewer]:
-    """A viewer in a window of its own, not yet opened."""
+def make_viewer(chromium: Browser, service: Client) -> Iterator[Callable[..., Viewer]]:
+    """Makes viewers, not yet opened, in windows of their own: of Playwright's ``new_context``."""
     if not (STATIC_FOLDER / "index.html").is_file():
         missing("the viewer is not built: 'make viewer' does it")
-    with chromium.new_context(viewport=WINDOW) as context:
-        viewer = Viewer(context.new_page(), service)
-        yield viewer
-        viewer.check()
+    with ExitStack() as stack:
+
+        def make(**window: Any) -> Viewer:
+            context = stack.enter_context(chromium.new_context(**{"viewport": WINDOW, "locale": "en-GB"} | window))
+            # On a busy machine everything takes longer, and nothing is wrong with that.
+            context.set_default_timeout(1000 * DRAWN_S)
+            viewer = Viewer(context.new_page(), service)
+            # Called last, and not after a test that failed anyway.
+            stack.push(lambda failed, *_: None if failed else viewer.check())
+            return viewer
+
+        yield make
+
+
+@pytest.fixture
+def viewer(make_viewer: Callable[..., Viewer]) -> Viewer:
+    """A viewer in a window of its own, not yet opened."""
+    return make_viewer()
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -89,7 +89,7 @@ class RangesOfFiles(QuietFiles):
 
 
 @contextmanager
-def served_folder(folder: Path, files: type[QuietFiles] = QuietFiles) -> Iterator[str]:
+def served_folder(folder: Path, files: Callable[..., QuietFiles] = QuietFiles) -> Iterator[str]:
     """The address of a server of a folder's files."""
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(files, directory=str(folder))) as server:
         thread = threading.Thread(target=server.serve_forever)
@@ -99,6 +99,33 @@ def served_folder(folder: Path, files: type[QuietFiles] = QuietFiles) -> Iterato
         finally:
             server.shutdown()
             thread.join()
+
+
+class OneTile(QuietFiles):
+    """Answers whatever is asked with one picture, to pages of any origin."""
+
+    def __init__(self, *args: Any, picture: bytes, **more: Any) -> None:
+        self._picture = picture
+        super().__init__(*args, **more)
+
+    def do_GET(self) -> None:
+        """Answer with the picture."""
+        self.send_response(200)
+        for name, value in {
+            "Access-Control-Allow-Origin": "*",
+            "Content-Type": "image/png",
+            "Content-Length": str(len(self._picture)),
+        }.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(self._picture)
+
+
+@contextmanager
+def served_tiles(picture: bytes) -> Iterator[str]:
+    """The address of somebody else's server of tiles, all of which are one picture."""
+    with served_folder(CLIENTS, partial(OneTile, picture=picture)) as address:
+        yield address
 
 
 class Corner:

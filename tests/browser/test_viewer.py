@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+from datetime import datetime, timedelta
+
 import numpy as np
 from playwright.sync_api import expect
 
-from tests.browser.conftest import Viewer
+from tests.api.conftest import Client
+from tests.browser.conftest import LEVEL, Viewer
 
-GROUND = 0xEF, 0xEC, 0xE4
+GROUND = 0xE9, 0xE6, 0xDD
 """The map's colour where there is no tile."""
+
+ADDRESS_MS = 1000
+"""The page writes its address when nobody moves anything."""
 
 
 def dark_share(pixels: np.ndarray) -> float:
@@ -26,34 +34,89 @@ def test_it_opens_with_the_level_in_full_view(viewer: Viewer):
 
 def test_another_time_of_day_moves_the_shadows(viewer: Viewer):
     evening = viewer.open()
-    time_of_day, sun = viewer.page.get_by_label("Time", exact=True), viewer.page.locator("#sun")
+    time_of_day, sun = viewer.page.get_by_label("Time", exact=True), viewer.page.locator("#sun-words")
     expect(time_of_day).to_have_value("17:45")
-    expect(sun).to_contain_text("Azimuth 246.3°")
+    expect(sun).to_contain_text("246.3°")
 
     time_of_day.fill("09:30")
     morning = viewer.shown()
     assert morning.queries == {(("time", "2024-10-21T09:30:00-04:00"),)}
-    expect(sun).to_contain_text("Azimuth 119.1°")
+    expect(sun).to_contain_text("119.1°")
     moved = np.abs(morning.pixels.astype(int) - evening.pixels).max(axis=2) > 32
     assert moved.mean() > 0.3
 
     time_of_day.fill("17:45")
-    assert np.array_equal(viewer.shown().pixels, evening.pixels), "and back again"
+    again = viewer.shown()
+    assert np.array_equal(again.pixels, evening.pixels), "and back again"
+    assert not again.queries, "what has been seen is kept"
+
+
+def test_the_slider_moves_the_shadows(viewer: Viewer):
+    viewer.open()
+    slider = viewer.page.get_by_label("Time of day")
+    box = slider.bounding_box()
+    assert box is not None
+    middle = box["y"] + box["height"] / 2
+    viewer.page.mouse.move(box["x"] + box["width"] * 1065 / 1440, middle)
+    viewer.page.mouse.down()
+    viewer.page.mouse.move(box["x"] + box["width"] / 2, middle, steps=3)
+    viewer.page.mouse.up()
+    noon = viewer.shown()
+    minutes = int(slider.input_value())
+    assert abs(minutes - 720) <= 15
+    assert (("time", f"2024-10-21T{minutes // 60:02}:{minutes % 60:02}:00-04:00"),) in noon.queries
+    expect(viewer.page.locator("#clock")).to_have_value(f"{minutes // 60:02}:{minutes % 60:02}")
+
+
+def test_times_of_the_sun_are_the_services(viewer: Viewer, service: Client):
+    """Of the level's middle; a click on one goes there."""
+    viewer.open()
+    west, south, east, north = next(each["bounds"] for each in service.get("/levels").json() if each["name"] == LEVEL)
+    where = {"lon": (west + east) / 2, "lat": (south + north) / 2}
+    for date in ("2024-10-21", "2024-06-21"):
+        viewer.page.get_by_label("Date", exact=True).fill(date)
+        day = service.get(f"/levels/{LEVEL}/point", params={**where, "date": date, "clock": "-04:00"}).json()["day"]
+        for name, instant in (("Sunrise", day["sunrise"]), ("Noon", day["noon"]), ("Sunset", day["sunset"])):
+            said = datetime.fromisoformat(instant) + timedelta(seconds=30)
+            expect(viewer.page.get_by_role("button", name=name)).to_have_text(f"{name} {said:%H:%M}")
+    viewer.page.get_by_role("button", name="Noon").click()
+    noon = datetime.fromisoformat(day["noon"]) + timedelta(seconds=30)
+    expect(viewer.page.locator("#clock")).to_have_value(f"{noon:%H:%M}")
+    viewer.shown()
+    expect(viewer.page.locator("#sun-words")).to_contain_text(f"{day['noon_altitude']:.1f}° high")
 
 
 def test_a_lower_sun_casts_more_shadow(viewer: Viewer):
     viewer.open()
-    viewer.page.get_by_label("Shadows only").check()
+    viewer.page.get_by_text("Shadows", exact=True).click()
     assert viewer.shown().queries == {(("layer", "shadow"), ("time", "2024-10-21T17:45:00-04:00"))}
-    viewer.page.get_by_label("Direction").check()
+    viewer.page.get_by_role("button", name="By direction").click()
     viewer.shown()
 
-    altitude = viewer.page.get_by_label("Altitude above the horizon")
+    altitude = viewer.page.get_by_label("Height above the horizon")
     dark = {}
     for degrees in (12, 60):
         altitude.fill(str(degrees))
         shadows = viewer.shown()
-        assert shadows.queries == {(("altitude", f"{degrees:.1f}"), ("azimuth", "315.0"), ("layer", "shadow"))}
+        assert shadows.queries == {(("altitude", f"{degrees}"), ("azimuth", "315"), ("layer", "shadow"))}
         dark[degrees] = dark_share(shadows.pixels)
     assert dark[12] > 0.15
     assert dark[60] < 0.01, "no slope is as steep"
+
+
+def test_all_that_is_set_is_in_the_address(make_viewer: Callable[..., Viewer]):
+    """An address that is sent shows the same elsewhere."""
+    one, other = make_viewer(), make_viewer()
+    one.open()
+    one.page.get_by_label("Time", exact=True).fill("16:00")
+    one.page.get_by_text("Shadows", exact=True).click()
+    one.page.get_by_label("Day of the year").fill("355")
+    one.page.locator(".maplibregl-ctrl-zoom-in").click()
+    one.settled()
+    expect(one.page).to_have_url(re.compile("layer=shadow.*time=2024-12-20T16:00:00-04:00"))
+    one.page.wait_for_timeout(ADDRESS_MS)
+    other.page.goto(one.page.url)
+    other.settled()
+    settings = "() => [clock, date, days, minutes].map(({value}) => value).concat(document.body.dataset.shown)"
+    assert other.page.evaluate(settings) == one.page.evaluate(settings)
+    assert other.page.url == one.page.url

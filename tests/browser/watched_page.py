@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from io import BytesIO
 
@@ -24,6 +25,8 @@ class WatchedPage:
         self.page = page
         self.wrong: list[str] = []
         self.asked: list[str] = []
+        self.forgiven: re.Pattern[str] | None = None
+        """What may go wrong, since the test has made it go wrong."""
         self.waiting: set[Request] = set()
         self._origins = tuple(f"{origin}/" for origin in origins)
         page.on("console", self._said)
@@ -39,6 +42,7 @@ class WatchedPage:
 
     def check(self) -> None:
         """Fail if anything has gone wrong on the page."""
+        self.wrong = [each for each in self.wrong if self.forgiven is None or not self.forgiven.search(each)]
         if self.wrong:
             pytest.fail("\n".join(["on the page:", *self.wrong[:MOST_TOLD]]), pytrace=False)
 

@@ -83,6 +83,24 @@ def test_its_lines_lead_to_tiles(client: Client):
         )
 
 
+def test_lines_as_json_are_those_of_the_page_with_what_is_asked(client: Client):
+    page = client.get("/levels/hills.html").text
+    headings, texts = ([unescape(each) for each in re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)] for tag in ("h2", "pre"))
+    plain = client.get("/levels/hills/lines.json").json()
+    assert [(each["client"], each["text"]) for each in plain] == list(zip(headings, texts, strict=True))
+
+    asked = "time=2024-06-21T18%3A00%3A00%2B00%3A00"
+    lines = {each["client"]: each["text"] for each in client.get(f"/levels/hills/lines.json?layer=shadow&{asked}").json()}
+    shown = f"?layer=shadow&{asked.replace('%2B00%3A00', 'Z')}"
+    for name in ("Leaflet", "OpenLayers", "QGIS, XYZ tiles", "ipyleaflet", "MapLibre"):
+        assert shown in lines[name], lines[name]
+    tile = lines["QGIS, XYZ tiles"].format(z=ZOOM, x=X, y=Y)
+    assert client.get(tile).content == client.get(f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{X}/{Y}.png{shown}").content
+    assert "terrarium" in lines["MapLibre, in three dimensions"] and asked not in lines["MapLibre, in three dimensions"]
+    assert client.get("/levels/site/lines.json").status_code == 422
+    assert client.get("/levels/hills/lines.json?layer=sunhours").json()["parameter"] == "date"
+
+
 def test_what_a_level_is_called_is_no_markup(tmp_path):
     level = write_level(tmp_path, "odd & name", title="<b>Hills</b>", attribution="it's </pre> <i>ours</i>")
     with running(create_app(Settings(workers=1), [level], fake_workers.obedient)) as client:

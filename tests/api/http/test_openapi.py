@@ -39,6 +39,7 @@ from api.http import (
     routes_wmts,
 )
 from api.http.app import create_app
+from api.http.cameras import CAMERA_PARAMETERS
 from api.http.problems import MEDIA_TYPE, problem_kinds
 from api.settings import Settings
 from tests.api.conftest import CORNER, ENGINEERING, ZOOM, Client, running, write_level
@@ -114,6 +115,8 @@ def beside(operation: dict[str, Any], parameter: dict[str, Any]) -> dict[str, An
     of_sun_hours = "least_altitude" in {each["name"] for each in parameters(operation)}
     if of_sun_hours and (name in SUN_HOURS_ALONE or (name == "height" and parameter["description"].startswith("Metres"))):
         return {"layer": "sunhours", "date": "2024-03-21"}
+    if name in CAMERA_PARAMETERS:
+        return {"eye": "8.43,47.5,300", "target": "8.44,47.51,0"}
     return {"date": {"layer": "sunhours"}, "tms": {"zoom": ZOOM}}.get(name, {}) if of_sun_hours or name == "tms" else {}
 
 

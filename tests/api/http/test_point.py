@@ -59,7 +59,7 @@ def test_off_the_data_is_null_and_why(client: Client):
     assert answer.status_code == 200 and report["lon"] == report["lat"] == 0.0
     assert report["elevation_m"] is report["now"] is report["day"] is None
     assert report["remark"].startswith("no ground here: a place on the level's data: longitudes 8.")
-    for file in ("horizon.csv", "sun.svg"):
+    for file in ("horizon.csv", "sun.svg", "sun.json"):
         check_problem(client.get(f"{POINT}/{file}?lon=0&lat=0"), 422, "invalid_parameter", "point")
 
 
@@ -77,6 +77,27 @@ def test_horizon_files_and_charts(client: Client):
     assert Image.open(io.BytesIO(png.content)).size[0] > 600
     svg = client.get(f"{POINT}/sun.svg?{where}&date=2024-06-21")
     assert svg.text.lstrip().startswith("<?xml") and svg.headers["content-type"].startswith("image/svg+xml")
+
+
+def test_the_figures_of_a_sky_are_those_of_its_horizon_and_of_its_day(client: Client):
+    where = f"{here(client)}&time=2024-12-01T09:00:00%2B01:00"
+    sky = client.get(f"{POINT}/sun.json?{where}").json()
+    profile = client.get(f"{POINT}/horizon.json?{where}").json()["outputs"]["horizon_profile"]
+    horizon = sky["horizon"]
+    highest = np.max([horizon[kind] for kind in ("relief", "solids", "forest")], axis=0)
+    by_azimuth = dict(zip(horizon["azimuth"], highest, strict=True))
+    assert len(by_azimuth) == 720 and highest.max() > 5 and not any(horizon["forest"])
+    for each in profile:
+        assert by_azimuth[(each["A"] + 180.0) % 360.0] == pytest.approx(each["H_hor"], abs=0.006)
+
+    day = client.get(f"{POINT}?{where}").json()["day"]
+    path = sky["path"]
+    assert sky["date"] == day["date"] and path[0]["time"] > day["sunrise"] and path[-1]["time"] < day["sunset"]
+    shining = [(each["begin"], each["end"]) for each in day["sunlit"]]
+    assert {each["lit"] for each in path} == {True, False}
+    for each in path:
+        assert each["lit"] == any(begin <= each["time"] <= end for begin, end in shining), each
+    assert len(path) == pytest.approx(day["daylight_h"] * 12, abs=1)
 
 
 def test_many_points(client: Client):

@@ -10,6 +10,12 @@ export default defineConfig({
     chunkSizeWarningLimit: 2000,
     // The licences of what is bundled travel with it.
     license: { fileName: 'licenses.md' },
+    rollupOptions: {
+      output: {
+        // MapLibre apart: it stays in browsers' caches when the viewer changes, and the viewer's own size can be read off.
+        manualChunks: (id: string) => (id.includes('maplibre-gl') ? 'maplibre' : undefined),
+      },
+    },
   },
   // `npm run dev` beside a running service.
   server: { proxy: { '/levels': 'http://127.0.0.1:8000' } },

@@ -1,0 +1,71 @@
+"""Views that a request makes: where somebody stands, and where they look."""
+
+from __future__ import annotations
+
+from inspect import signature
+from typing import Annotated, Any
+
+from fastapi import Query
+from pydantic import ValidationError
+
+from api.http.numbers import PLAIN_DECIMAL, decimal_in
+from terrain.errors import MISSING_VALUE, InputError
+from terrain.level.parts import PerspectiveSpec
+
+FURTHEST_UP_M = 100_000.0
+"""Of an eye or a target above the ground: as high as anybody sees relief from."""
+
+POSITION_WORDS = (
+    "three numbers: longitude and latitude in degrees (in a flat world metres east and north of its middle), "
+    "and metres above the ground there, at most 100000"
+)
+
+EyeQuery = Annotated[
+    str | None,
+    Query(
+        max_length=100,
+        description="With `target`, instead of `view`: from where, as longitude,latitude,metres above the ground.",
+        examples=["8.43,47.5,300"],
+    ),
+]
+TargetQuery = Annotated[
+    str | None, Query(max_length=100, description="With `eye`: what is looked at, likewise.", examples=["8.44,47.51,0"])
+]
+FovQuery = Annotated[
+    float | None,
+    PLAIN_DECIMAL,
+    Query(
+        ge=0.01, le=179, allow_inf_nan=False,
+        description=f"With `eye`: vertical field of view, degrees; default: {PerspectiveSpec.model_fields['fov'].default:g}.",
+        examples=[40],
+    ),
+]  # fmt: skip
+
+
+async def camera_query(eye: EyeQuery = None, target: TargetQuery = None, fov: FovQuery = None) -> PerspectiveSpec | None:
+    """The dependency for a view that a request makes; ``None`` where it makes none. Raises ``InputError``."""
+    given: dict[str, Any] = {"eye": eye, "target": target}
+    if eye is None and target is None:
+        if fov is not None:
+            raise InputError("fov", fov, "nothing but beside eye and target: a view of the level has its own")
+        return None
+    for name, text in given.items():
+        if text is None:
+            raise InputError(name, MISSING_VALUE, "eye and target together")
+    positions = {name: parse_position(name, text) for name, text in given.items()}
+    try:
+        return PerspectiveSpec(kind="perspective", **positions, **({} if fov is None else {"fov": fov}))
+    except ValidationError:  # each is right by itself
+        raise InputError("target", target, "a target other than the eye") from None
+
+
+def parse_position(name: str, text: str) -> tuple[float, float, float]:
+    """A position of three numbers. Raises ``InputError``."""
+    values = [value for part in text.split(",") if (value := decimal_in(part)) is not None]
+    if len(values) != 3 or text.count(",") != 2 or max(map(abs, values[:2])) > 1e9 or abs(values[2]) > FURTHEST_UP_M:
+        raise InputError(name, text, POSITION_WORDS)
+    return values[0], values[1], values[2]
+
+
+CAMERA_PARAMETERS = tuple(signature(camera_query).parameters)
+"""Of a view that a request makes."""

@@ -1,0 +1,98 @@
+"""Views that a request makes: stand here, look there."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from api.cli.snapshot import snapshot
+from tests.api.conftest import Client, write_level
+from tests.api.http.test_problems import check_problem
+
+SNAPSHOT = "/levels/hills/snapshot"
+EYE, TARGET = "8.4300,47.5000,300", "8.4500,47.5100,0"
+SMALL = {"size": "96x64"}
+
+
+def pixels(client: Client, address: str = f"{SNAPSHOT}.png", **asked: str) -> np.ndarray:
+    answer = client.get(address, params={**SMALL, **asked})
+    assert answer.status_code == 200, answer.text
+    return np.asarray(Image.open(io.BytesIO(answer.content)).convert("RGB")).astype(int)
+
+
+def test_a_made_view_is_the_one_that_a_level_lists(client: Client, folder: Path):
+    """The same numbers in a level file draw the same picture."""
+    made = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.51, 0], "fov": 40}
+    _, frame = snapshot(write_level(folder, "viewed", views={"made": made}), "made", None, {}, (96, 64))
+    asked = pixels(client, eye=EYE, target=TARGET, fov="40")
+    assert np.array_equal(asked, frame.color) and len(np.unique(asked.reshape(-1, 3), axis=0)) > 100, "it is not blank"
+
+
+def test_eye_target_and_field_of_view_count(client: Client):
+    first = pixels(client, eye=EYE, target=TARGET)
+    for other in (
+        {"eye": "8.4300,47.5000,900", "target": TARGET}, {"eye": EYE, "target": "8.4100,47.5100,0"},
+        {"eye": EYE, "target": TARGET, "fov": "20"}, {"eye": EYE, "target": TARGET, "azimuth": "100", "altitude": "40"},
+    ):  # fmt: skip
+        assert np.abs(pixels(client, **other) - first).max() > 32, other
+
+
+def test_without_a_size_it_is_that_of_views_in_level_files(client: Client):
+    answer = client.get(f"{SNAPSHOT}.jpg", params={"eye": EYE, "target": TARGET})
+    assert Image.open(io.BytesIO(answer.content)).size == (1280, 1024)
+
+
+@pytest.mark.parametrize(
+    ("asked", "parameter", "said"),
+    [
+        ({"eye": EYE}, "target", "eye and target together"),
+        ({"target": TARGET}, "eye", "eye and target together"),
+        ({"fov": "40"}, "fov", "beside eye and target"),
+        ({"eye": "8.43,47.5", "target": TARGET}, "eye", "three numbers"),
+        ({"eye": "8.43,47.5,high", "target": TARGET}, "eye", "three numbers"),
+        ({"eye": "8.43,47.5,1e6", "target": TARGET}, "eye", "at most 100000"),
+        ({"eye": "8.43,47.5,nan", "target": TARGET}, "eye", "three numbers"),
+        ({"eye": EYE, "target": "8.45,47.51,0,1"}, "target", "three numbers"),
+        ({"eye": EYE, "target": EYE}, "target", "other than the eye"),
+        ({"eye": "0,0,2", "target": TARGET}, "eye", "a position on the terrain's data"),
+        ({"eye": EYE, "target": "0,0,2"}, "target", "a position on the terrain's data"),
+        ({"eye": EYE, "target": TARGET, "fov": "180"}, "fov", "179"),
+        ({"eye": EYE, "target": TARGET, "fov": "wide"}, "fov", "a number"),
+        ({"eye": EYE, "target": TARGET, "view": "map"}, "view", "beside eye and target"),
+        ({"eye": EYE, "target": TARGET, "size": "9000x9000"}, "size", "WxH"),
+    ],
+)
+def test_what_is_wrong_is_named(client: Client, asked: dict[str, str], parameter: str, said: str):
+    answer = client.get(f"{SNAPSHOT}.png", params=asked)
+    check_problem(answer, 422, "invalid_parameter", parameter)
+    assert said in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "layer", "most"),
+    [("shadow_map", "shadow-map", 65535), ("shadow_volume", "stencil", 255), ("shadow_volume", "volumes", 255),
+     ("hybrid", "silhouettes", 255)],
+)  # fmt: skip
+def test_what_passes_leave_behind(client: Client, algorithm: str, layer: str, most: int):
+    asked = {**SMALL, "eye": EYE, "target": TARGET, "algorithm": algorithm, "layer": layer}
+    answer = client.get(f"{SNAPSHOT}.png", params=asked)
+    assert answer.status_code == 200, answer.text
+    values = np.asarray(Image.open(io.BytesIO(answer.content)))
+    assert values.max() <= most and len(np.unique(values)) > 1
+    if layer == "volumes":
+        color = pixels(client, **{key: value for key, value in asked.items() if key != "layer"})
+        assert values.shape == color.shape and not np.array_equal(values, color)
+
+
+def test_what_passes_do_not_have_is_told(client: Client):
+    made = {"eye": EYE, "target": TARGET, "algorithm": "shadow_map"}
+    assert "volumes" in client.get("/levels/hills").json()["layers_between"]
+    answer = client.get(f"{SNAPSHOT}.png", params={**SMALL, **made, "layer": "volumes"})
+    check_problem(answer, 422, "unsupported", "layer")
+    assert "algorithms that have it" in answer.json()["detail"]
+    check_problem(client.get(f"{SNAPSHOT}.webp", params={**made, "layer": "shadow-map"}), 422, "invalid_parameter", "format")
+    check_problem(client.get(f"{SNAPSHOT}.png", params={**made, "layer": "depth"}), 422, "invalid_parameter", "layer")

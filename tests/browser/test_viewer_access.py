@@ -1,0 +1,134 @@
+"""The viewer without a mouse, without sight of it, in little room: keyboard, accessible names (axe), a phone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, ViewportSize, expect
+
+from tests.browser.conftest import Viewer, missing
+from tests.browser.map_clients import CLIENTS
+
+AXE = CLIENTS / "node_modules" / "axe-core" / "axe.min.js"
+
+PHONE = {"viewport": ViewportSize(width=390, height=844), "has_touch": True, "is_mobile": True}
+
+GRAVE = {"serious", "critical"}
+"""Of axe's kinds of impact."""
+
+
+def faults(page: Page) -> list[str]:
+    """What axe finds on a page that is grave."""
+    if not AXE.is_file():
+        missing(f"there is no {AXE}: 'make test-browser' installs it")
+    # As the page's policy allows no script of others, it is run from outside.
+    page.evaluate(AXE.read_text())
+    found = page.evaluate("() => axe.run(document, {resultTypes: ['violations']})")["violations"]
+    return [
+        f"{each['id']}: {node['html'][:120]} {node['failureSummary']}"
+        for each in found
+        if each["impact"] in GRAVE
+        for node in each["nodes"]
+    ]
+
+
+@pytest.mark.parametrize("colors", ["light", "dark"])
+def test_axe_finds_nothing_grave(make_viewer: Callable[..., Viewer], colors: str):
+    viewer = make_viewer(color_scheme=colors)
+    viewer.open()
+    for panel in viewer.page.get_by_role("tab").all():
+        panel.click()
+        viewer.settled()
+        assert not faults(viewer.page), panel.inner_text()
+    viewer.page.get_by_role("button", name="By direction").click()
+    viewer.settled()
+    assert not faults(viewer.page)
+
+
+def test_axe_finds_a_fault(viewer: Viewer):
+    """It is not blind."""
+    viewer.open()
+    viewer.page.evaluate("() => document.getElementById('minutes').removeAttribute('aria-label')")
+    assert any("label" in each for each in faults(viewer.page))
+
+
+def test_all_of_it_by_keyboard(viewer: Viewer):
+    """Everything is reached by Tab and can be seen to have the focus; arrows move the sun; space plays the day."""
+    viewer.open()
+    reached: list[str] = []
+    for _ in range(60):
+        viewer.page.keyboard.press("Tab")
+        name, outlined = viewer.page.evaluate("""() => {
+          const at = document.activeElement, style = getComputedStyle(at);
+          const shown = style.outlineStyle !== 'none' || getComputedStyle(at.nextElementSibling ?? at).outlineStyle !== 'none';
+          return [at.id || at.className || at.tagName, shown];
+        }""")
+        if name == "BODY" or name in reached[:1]:
+            break
+        assert outlined, f"where the focus is cannot be seen: {name}"
+        reached.append(name)
+    assert {"skip", "level", "theme", "play", "clock", "date", "minutes", "days", "solid"} <= set(reached), reached
+    assert any("canvas" in each for each in reached), "the map itself"
+
+    viewer.page.locator("#minutes").focus()
+    viewer.page.keyboard.press("ArrowLeft")
+    assert viewer.shown().queries == {(("time", "2024-10-21T17:40:00-04:00"),)}
+    viewer.page.locator("#days").focus()
+    viewer.page.keyboard.press("ArrowRight")
+    assert viewer.shown().queries == {(("time", "2024-10-22T17:40:00-04:00"),)}
+    viewer.page.evaluate("() => document.activeElement.blur()")
+    viewer.page.keyboard.press("Space")
+    expect(viewer.page.get_by_role("button", name="Pause the day")).to_be_visible()
+    viewer.page.keyboard.press("Space")
+    expect(viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
+
+
+def test_values_are_spoken(viewer: Viewer):
+    """What a screen reader says of the sliders, and of where the sun stands."""
+    viewer.open()
+    expect(viewer.page.get_by_role("slider", name="Time of day")).to_have_attribute("aria-valuetext", "17:45")
+    expect(viewer.page.get_by_role("slider", name="Day of the year")).to_have_attribute("aria-valuetext", "21 October 2024")
+    expect(viewer.page.get_by_role("button", name="Play the day")).to_have_attribute("aria-pressed", "false")
+    viewer.page.get_by_role("button", name="By direction").click()
+    expect(viewer.page.get_by_role("slider", name="Azimuth, clockwise from north")).to_have_attribute("aria-valuetext", "315° · NW")
+
+
+def test_a_phone_has_a_sheet(make_viewer: Callable[..., Viewer]):
+    """The map is free until the sheet is brought up; nothing is wider than the screen."""
+    viewer = make_viewer(**PHONE)
+    viewer.page.goto(viewer.address)
+    viewer.settled()
+    width, height = PHONE["viewport"]["width"], PHONE["viewport"]["height"]
+    assert viewer.page.evaluate("() => document.documentElement.scrollWidth") <= width
+    for part in ("#side header", "#sun"):
+        box = viewer.page.locator(part).bounding_box()
+        assert box is not None
+        assert box["x"] >= 0 and box["x"] + box["width"] <= width
+        assert box["y"] > height / 2, "the upper half is the map's"
+        assert box["y"] + box["height"] <= height + 1
+    solid = viewer.page.get_by_label("Three dimensions")
+    expect(solid).to_be_hidden()
+    viewer.page.get_by_role("button", name="Open the panel").click()
+    expect(solid).to_be_in_viewport()
+    assert not faults(viewer.page)
+    viewer.page.get_by_role("button", name="Close the panel").click()
+    expect(solid).to_be_hidden()
+    level = viewer.pixels()[120:440, 40:340]
+    assert len(np.unique(level.reshape(-1, 3), axis=0)) > 5000
+
+
+def test_colours_can_be_chosen(viewer: Viewer):
+    """Light, dark, as the system has it; in the address, too."""
+    viewer.open()
+    corner = viewer.pixels()[700, 100].astype(int).sum()
+    viewer.page.get_by_role("button", name="Colours: as the system").click()
+    viewer.page.get_by_role("button", name="Colours: light").click()
+    expect(viewer.page).to_have_url(re.compile("theme=dark"))
+    viewer.settled()
+    assert viewer.pixels()[700, 100].astype(int).sum() < corner / 4
+    viewer.page.reload()
+    viewer.settled()
+    assert viewer.pixels()[700, 100].astype(int).sum() < corner / 4

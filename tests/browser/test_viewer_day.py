@@ -1,0 +1,182 @@
+"""The viewer plays a day. Tiles are made up here, of one grey for each time, so that each picture can be told from every other."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from io import BytesIO
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import Route, expect
+
+from tests.browser.conftest import Viewer
+
+DATE = "2024-12-21"
+FIRST, LAST = 8 * 60 - 10, 18 * 60
+"""Steps of the day lie between these, in minutes by the clock of -05:00."""
+
+NEAR = 3
+"""Of 255: what colours may lose on their way to the screen."""
+
+
+def grey(minutes: int) -> int:
+    """The colour of a time's tiles: from 40 to 160, far from the ground's."""
+    return 40 + round((minutes - FIRST) / 5)
+
+
+class MadeUpDay:
+    """A viewer whose tiles are of one grey for each time."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self.viewer, self.asked = viewer, []
+        self.broken = False
+        viewer.page.route(re.compile("/tiles/"), self._answer)
+
+    def open(self, minutes: int) -> None:
+        """Open the page at a time of the day."""
+        self.viewer.page.goto(f"{self.viewer.address}/#time={DATE}T{minutes // 60:02}:{minutes % 60:02}:00-05:00")
+        self.viewer.settled()
+        expect(self.viewer.page.locator(".marks b").first).to_be_visible()
+
+    def play(self) -> None:
+        """Press the button."""
+        self.viewer.page.get_by_role("button", name="Play the day").click()
+
+    @property
+    def minutes(self) -> int:
+        """The time that the page tells."""
+        return int(self.viewer.page.locator("#minutes").input_value())
+
+    def picture(self) -> np.ndarray:
+        """The level as it is seen now, (rows, cols) uint8, of a page whose colours there are grey."""
+        pixels = self.viewer.pixels(self.viewer.place())
+        assert int(np.ptp(pixels.astype(int), axis=2).max()) <= NEAR, "that is no tile"
+        return pixels[..., 0]
+
+    def after(self, minutes: int) -> None:
+        """Wait until the page tells of a time past one, on the same day."""
+        self.viewer.page.wait_for_function("least => Number(document.getElementById('minutes').value) > least", arg=minutes)
+
+    def _answer(self, route: Route) -> None:
+        (time,) = parse_qs(urlsplit(route.request.url).query)["time"]
+        minutes = int(time[11:13]) * 60 + int(time[14:16])
+        self.asked.append(route.request.url)
+        if self.broken:
+            route.fulfill(status=500, json={"title": "Internal Server Error", "status": 500, "detail": "The worker is gone."})
+            return
+        picture = BytesIO()
+        Image.new("RGB", (256, 256), (grey(minutes),) * 3).save(picture, "PNG")
+        route.fulfill(body=picture.getvalue(), content_type="image/png")
+
+
+@pytest.fixture
+def day(viewer: Viewer) -> MadeUpDay:
+    """A made-up day in a window, not yet opened."""
+    return MadeUpDay(viewer)
+
+
+LOOK = """({x, y, width, height}) => {
+  const map = document.querySelector('.maplibregl-canvas');
+  const pen = new OffscreenCanvas(8, 8).getContext('2d', {willReadFrequently: true});
+  window.looks = [];
+  const look = () => {
+    pen.drawImage(map, x, y, width, height, 0, 0, 8, 8);
+    const channels = pen.getImageData(0, 0, 8, 8).data.filter((_, index) => index % 4 < 3);
+    window.looks.push([Math.min(...channels), Math.max(...channels)]);
+    requestAnimationFrame(look);
+  };
+  requestAnimationFrame(look);
+}"""
+"""Looks at the map's part of the level in every frame: the darkest and the brightest channel of 64 places."""
+
+
+def test_no_frame_is_blank(day: MadeUpDay):
+    """Each picture is whole, of a time or between two, and the day goes on; what was seen is not asked for again."""
+    day.open(9 * 60)
+    day.viewer.page.evaluate(LOOK, day.viewer.place())
+    day.play()
+    day.after(16 * 60 + 30)
+    frames = np.array(day.viewer.page.evaluate("() => window.looks"))
+    assert np.ptp(frames, axis=1).max() <= NEAR, "the ground, or two times at once"
+    # The map below the day's pictures has the time that it began with: where they are not there, that is seen.
+    assert np.diff(frames[:, 0]).min() >= -NEAR, "back to an earlier time"
+    assert grey(9 * 60) - NEAR <= frames.min() and frames.max() <= grey(LAST) + NEAR
+    assert len(np.unique(frames[:, 0])) > 40, "each step is seen"
+    expect(day.viewer.page.locator("#sun-words")).to_contain_text("high")
+
+    # The next round: what comes before the time that this one began with is new, and nothing after it.
+    day.viewer.page.wait_for_function("() => Number(document.getElementById('minutes').value) < 600")
+    day.after(9 * 60)
+    asked = len(day.asked)
+    assert len(set(day.asked)) == asked, "nothing is asked for twice"
+    day.after(12 * 60)
+    assert len(day.asked) == asked
+
+    day.viewer.page.get_by_role("button", name="Pause the day").click()
+    day.viewer.settled()
+    assert abs(int(day.picture().max()) - grey(day.minutes)) <= NEAR, "it stays where it was paused"
+
+
+def test_a_moved_map_goes_on(day: MadeUpDay):
+    day.open(9 * 60)
+    day.play()
+    day.after(9 * 60 + 20)
+    day.viewer.page.locator(".maplibregl-ctrl-zoom-in").click()
+    day.after(day.minutes + 60)
+    middle = day.viewer.pixels()[250:300, 700:900].astype(int)
+    assert int(np.ptp(middle)) <= NEAR
+    assert grey(FIRST) <= middle.max() <= grey(LAST)
+
+
+def test_a_hidden_page_pauses(day: MadeUpDay):
+    day.open(9 * 60)
+    day.play()
+    day.after(9 * 60 + 20)
+    hide = """hidden => {
+      Object.defineProperty(document, 'hidden', {get: () => hidden, configurable: true});
+      document.dispatchEvent(new Event('visibilitychange'));
+    }"""
+    day.viewer.page.evaluate(hide, True)
+    day.viewer.page.wait_for_timeout(500)  # a step that had begun
+    paused = day.minutes
+    day.viewer.page.wait_for_timeout(1500)
+    assert day.minutes == paused
+    day.viewer.page.evaluate(hide, False)
+    day.after(paused)
+
+
+def test_reduced_motion_does_not_fade(make_viewer: Callable[..., Viewer]):
+    day = MadeUpDay(make_viewer(reduced_motion="reduce"))
+    day.open(9 * 60)
+    day.play()
+    whole = {grey(minutes) for minutes in range(FIRST, LAST + 1, 10)}
+    for _ in range(12):
+        seen = int(day.picture()[0, 0])
+        assert min(abs(seen - each) for each in whole) <= 1, "between two times"
+    day.after(9 * 60)
+
+
+def test_whoever_moves_the_sun_stops_the_day(day: MadeUpDay):
+    day.open(9 * 60)
+    day.play()
+    day.after(9 * 60 + 10)
+    day.viewer.page.get_by_label("Time", exact=True).fill("12:00")
+    expect(day.viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
+    day.viewer.settled()
+    assert day.minutes == 12 * 60
+    assert abs(int(day.picture().max()) - grey(12 * 60)) <= NEAR
+
+
+def test_a_day_that_fails_says_so(day: MadeUpDay):
+    day.open(9 * 60)
+    day.viewer.forgiven = re.compile("500")
+    day.broken = True
+    day.play()
+    status = day.viewer.page.locator("#status.failed")
+    expect(status).to_contain_text("The worker is gone. (500)")
+    expect(day.viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
+    below = day.viewer.pixels()[200:500, 500:1000].astype(int)
+    assert np.abs(below - grey(day.minutes)).max() <= NEAR, "what was seen is seen still"

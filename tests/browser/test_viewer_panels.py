@@ -1,0 +1,295 @@
+"""What a person does on the viewer's panels: asks at a point, looks at views, compares, reads the plan, takes the map away."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import subprocess
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import FloatRect, expect
+from rasterio.io import MemoryFile
+
+from terrain.level.parts import PerspectiveSpec
+from tests.api.conftest import Client
+from tests.browser.conftest import LEVEL, WINDOW, Viewer, missing
+from tests.browser.test_viewer_access import faults
+
+MODULES = Path(__file__).parents[2] / "viewer"
+NODE = Path(__file__).parents[2] / ".venv" / "bin" / "node"
+
+TIME = "2024-10-21T17:45:00-04:00"
+POINT = "-84.25,36.3"
+EYE, TARGET = "-84.26,36.29,300", "-84.24,36.32,0"
+ANSWER_MS = 60_000
+
+LEFT_PX = 400
+"""Of what is looked at of the map: right of the panel."""
+
+LIGHTS = {True: "In the sun", False: "In shadow"}
+
+
+def opened(viewer: Viewer, panel: str, **own: str) -> Viewer:
+    """The viewer with a panel open, as an address that somebody sent has it."""
+    parts = "".join(f"&{name}={value}" for name, value in own.items())
+    viewer.open(f"#level={LEVEL}&time={TIME}&panel={panel}{parts}")
+    return viewer
+
+
+def point_of(service: Client, lon_lat: str, time: str = TIME, **asked: str) -> dict[str, Any]:
+    lon, lat = lon_lat.split(",")
+    return service.get(f"/levels/{LEVEL}/point", params={"lon": lon, "lat": lat, "time": time, **asked}).json()
+
+
+def instants(viewer: Viewer, where: str) -> list[str]:
+    """The exact moments that a part of the page tells, as its elements of time have them."""
+    return viewer.page.locator(f"{where} time").evaluate_all("found => found.map(each => each.dateTime)")
+
+
+def told_intervals(viewer: Viewer) -> list[tuple[str, str]]:
+    times = instants(viewer, ".intervals")
+    return list(zip(times[::2], times[1::2], strict=True))
+
+
+def test_a_click_answers_with_the_services_own_intervals(viewer: Viewer, service: Client):
+    viewer.open(f"#level={LEVEL}&time={TIME}")
+    viewer.page.mouse.click(820, 300)
+    expect(viewer.page.locator(".light")).to_be_visible(timeout=ANSWER_MS)
+    found = re.search(r"point=(-?[\d.]+,[\d.]+)", viewer.page.url)
+    assert found, viewer.page.url
+    report = point_of(service, found[1])
+    day, now = report["day"], report["now"]
+    expect(viewer.page.locator(".light")).to_contain_text(LIGHTS[now["lit"]])
+    assert told_intervals(viewer) == [(each["begin"], each["end"]) for each in day["sunlit"]]
+
+    at = datetime.fromisoformat(TIME)
+    begins, ends = ([datetime.fromisoformat(each[key]) for each in day["sunlit"]] for key in ("begin", "end"))
+    edges = sorted([*begins, *ends, *(datetime.fromisoformat(day[key]) for key in ("sunrise", "sunset"))])
+    around = max(each for each in edges if each <= at), min(each for each in edges if each > at)
+    assert tuple(map(datetime.fromisoformat, instants(viewer, ".reasons"))) == around, "since when and until when"
+
+    reasons = viewer.page.locator(".reasons")
+    expect(reasons).to_contain_text("ridge")
+    if not now["lit"]:
+        expect(reasons).to_contain_text(f"{now['by']['elevation']:.1f}° high")
+    expect(viewer.page.get_by_role("img", name=re.compile("^The day: night midnight to"))).to_be_visible()
+    expect(viewer.page.get_by_role("img", name=re.compile("^Horizon: highest in the"))).to_be_visible()
+    assert not faults(viewer.page)
+
+
+def test_the_horizon_and_the_suns_path_are_the_services(viewer: Viewer, service: Client):
+    opened(viewer, "point", point=POINT)
+    lon, lat = POINT.split(",")
+    sky = service.get(f"/levels/{LEVEL}/point/sun.json", params={"lon": lon, "lat": lat, "time": TIME}).json()
+    drawing = viewer.page.locator("svg.sky")
+    expect(drawing).to_be_visible(timeout=ANSWER_MS)
+    highest = max(sky["horizon"]["relief"])
+    expect(drawing).to_have_attribute(
+        "aria-label", re.compile(f"with {highest:.1f}°.*climbs to {max(s['altitude'] for s in sky['path']):.1f}°")
+    )
+    outline = drawing.locator("path.relief").get_attribute("d") or ""
+    x, y = (float(each) for each in re.findall(r"[ML](-?[\d.]+) (-?[\d.]+)", outline.partition("ZM")[2].join(["M", ""]))[180])
+    away = 100 * (1 - sky["horizon"]["relief"][180] / 90)
+    assert (x, y) == pytest.approx((away, 0.0), abs=0.01), "the 180th of 720 directions is east"
+    drawn = sum(len((line.get_attribute("points") or "").split()) // 2 for line in drawing.locator("polyline").all())
+    changes = sum(a["lit"] != b["lit"] for a, b in zip(sky["path"], sky["path"][1:], strict=False))
+    assert drawn == len(sky["path"]) + changes, "each run reaches to where the next begins"
+
+
+def test_another_time_asks_anew_by_keyboard_alone(viewer: Viewer, service: Client):
+    opened(viewer, "point")
+    viewer.page.get_by_role("tab", name="Point").focus()
+    for _ in range(4):
+        viewer.page.keyboard.press("Tab")
+        if viewer.page.evaluate("() => document.activeElement.textContent") == "Ask at the middle of the map":
+            break
+    viewer.page.keyboard.press("Enter")
+    light = viewer.page.locator(".light")
+    expect(light).to_be_visible(timeout=ANSWER_MS)
+    found = re.search(r"point=(-?[\d.]+,[\d.]+)", viewer.page.url)
+    assert found
+    viewer.page.get_by_label("Time", exact=True).fill("09:00")
+    expect(light).to_contain_text("at 09:00", timeout=ANSWER_MS)
+    viewer.settled()
+    now = point_of(service, found[1], "2024-10-21T09:00:00-04:00")["now"]
+    expect(light).to_contain_text(LIGHTS[now["lit"]])
+
+
+def test_off_the_data_the_service_says_so(viewer: Viewer):
+    opened(viewer, "point", point="-83.9,36.3")
+    expect(viewer.page.locator(".point-answer .fail")).to_contain_text("No ground here", timeout=ANSWER_MS)
+
+
+def test_views_are_shown_small_and_whole(viewer: Viewer):
+    opened(viewer, "views")
+    view = viewer.page.get_by_role("button", name="Map", exact=True)
+    expect(view.locator("img")).to_be_visible(timeout=ANSWER_MS)
+    view.click()
+    whole = viewer.page.get_by_role("dialog")
+    expect(whole.locator("img")).to_be_visible(timeout=ANSWER_MS)
+    assert whole.locator("img").evaluate("each => [each.naturalWidth, each.naturalHeight]") == [974, 1024]
+    assert not faults(viewer.page)
+    with viewer.page.expect_download() as saved:
+        whole.get_by_role("button", name="Save").click()
+    assert Image.open(io.BytesIO(Path(saved.value.path()).read_bytes())).size == (974, 1024)
+    assert saved.value.suggested_filename == f"{LEVEL}-map.png"
+    viewer.page.keyboard.press("Escape")
+    expect(whole).not_to_be_visible()
+    expect(view).to_be_focused()
+
+
+def test_a_view_of_ones_own(viewer: Viewer, service: Client):
+    """It is what the service draws of its lines, and a level file that has them is right."""
+    import yaml
+
+    opened(viewer, "views", **{"views-eye": EYE, "views-target": TARGET, "views-fov": "40"})
+    preview = viewer.page.locator(".preview img")
+    expect(preview).to_be_visible(timeout=ANSWER_MS)
+    lines = viewer.page.get_by_label("Lines for the level’s file", exact=True).inner_text()
+    spec = yaml.safe_load(lines)["views"]["my_view"]
+    assert PerspectiveSpec(**spec) == PerspectiveSpec(
+        kind="perspective", eye=(-84.26, 36.29, 300), target=(-84.24, 36.32, 0), fov=40, size=(1280, 1024)
+    )
+    shown = preview.evaluate("""each => {
+      const canvas = Object.assign(document.createElement('canvas'), {width: each.naturalWidth, height: each.naturalHeight});
+      canvas.getContext('2d').drawImage(each, 0, 0);
+      return canvas.toDataURL('image/png').split(',')[1];
+    }""")
+    asked = {"eye": EYE, "target": TARGET, "fov": "40", "size": "400x320", "time": TIME}
+    drawn = service.get(f"/levels/{LEVEL}/snapshot.webp", params=asked).content
+    one, other = (np.asarray(Image.open(io.BytesIO(each)).convert("RGB")) for each in (base64.b64decode(shown), drawn))
+    assert one.shape == (320, 400, 3) and np.array_equal(one, other)
+    assert not faults(viewer.page)
+
+    height = viewer.page.get_by_label("Eye, metres above the ground")
+    height.fill("900")
+    expect(viewer.page).to_have_url(re.compile(r"views-eye=-84\.26,36\.29,900"))
+    viewer.page.get_by_role("button", name="Look there").click()
+    viewer.page.mouse.click(900, 250)
+    expect(viewer.page).not_to_have_url(re.compile(re.escape(f"views-target={TARGET}")))
+    assert "&point=" not in viewer.page.url, "that click was the view's"
+
+
+def test_two_times_side_by_side(viewer: Viewer):
+    """Left of the divider the map is as it was, right of it as it is at the other time; keys move the divider."""
+    opened(viewer, "compare")
+    own = _picture(viewer)
+    viewer.page.get_by_label("Compare with another").select_option("time")
+    viewer.page.get_by_label("On the right, at").fill("09:30")
+    viewer.page.get_by_label("On the right, at").press("Tab")
+    divider = viewer.page.get_by_role("slider", name="Divider of the comparison")
+    expect(divider).to_have_attribute("aria-valuetext", "50 %: 17:45 on the left, 09:30 on the right")
+    both = _picture(viewer)
+    middle = WINDOW["width"] // 2 - LEFT_PX
+    assert _differing(own[:, : middle - 40], both[:, : middle - 40]) < 0.01
+    assert _differing(own[:, middle + 40 :], both[:, middle + 40 :]) > 0.1
+    assert not faults(viewer.page)
+
+    divider.focus()
+    viewer.page.keyboard.press("End")
+    expect(divider).to_have_attribute("aria-valuenow", "100")
+    assert _differing(own[:, 40:-60], _picture(viewer)[:, 40:-60]) < 0.01
+    viewer.page.keyboard.press("PageDown")
+    expect(divider).to_have_attribute("aria-valuenow", "90")
+    viewer.page.get_by_role("button", name="End the comparison").first.click()
+    expect(divider).to_have_count(0)
+    expect(viewer.page).not_to_have_url(re.compile("&compare"))
+
+
+def test_two_algorithms_side_by_side(viewer: Viewer):
+    """Both sides can be chosen; each asks for its own tiles."""
+    opened(viewer, "compare", compare="algorithm:none")
+    viewer.page.get_by_label("On the left").select_option("sweep")
+    viewer.shown()
+    expect(viewer.page).to_have_url(
+        re.compile("compare=algorithm:none.*plan-algorithm=sweep|plan-algorithm=sweep.*compare=algorithm:none")
+    )
+    slider = viewer.page.get_by_role("slider", name="Divider of the comparison")
+    expect(slider).to_have_attribute("aria-valuetext", "50 %: sweep on the left, none on the right")
+    viewer.page.mouse.move(640, 400)
+    box = slider.bounding_box()
+    assert box is not None
+    viewer.page.mouse.move(box["x"] + box["width"] / 2, 200)
+    viewer.page.mouse.down()
+    viewer.page.mouse.move(900, 200, steps=3)
+    viewer.page.mouse.up()
+    expect(slider).to_have_attribute("aria-valuenow", "70")
+
+
+def test_the_plan_says_why(viewer: Viewer):
+    opened(viewer, "plan")
+    plan = viewer.page.locator(".plan")
+    expect(plan.get_by_text("Shadows of ridges, houses and trees")).to_be_visible(timeout=ANSWER_MS)
+    algorithms = viewer.page.locator("details.algorithms")
+    expect(algorithms).not_to_have_attribute("open", "")
+    algorithms.locator("summary").first.click()
+    expect(algorithms.get_by_text("Relief by sweep")).to_be_visible()
+    algorithms.get_by_label("Draw shadows by").select_option("none")
+    viewer.settled()
+    expect(algorithms.get_by_text("Relief casts nothing")).to_be_visible(timeout=ANSWER_MS)
+    assert not faults(viewer.page)
+
+
+def test_layers_in_between_can_be_looked_at(viewer: Viewer):
+    opened(viewer, "plan", **{"plan-algorithm": "shadow_map"})
+    viewer.page.get_by_text("Layers in between").click()
+    viewer.page.locator("#between-layer").select_option("shadow-map")
+    viewer.page.get_by_role("button", name="Look at it").click()
+    expect(viewer.page.get_by_role("dialog").locator("img")).to_be_visible(timeout=ANSWER_MS)
+
+
+def test_what_is_seen_can_be_saved(viewer: Viewer):
+    """As a picture, and as a GeoTIFF that lies where the map does."""
+    opened(viewer, "use")
+    for name, suffix in (("PNG picture", "png"), ("GeoTIFF", "tif")):
+        with viewer.page.expect_download(timeout=ANSWER_MS) as saved:
+            viewer.page.get_by_role("button", name=name).click()
+        assert saved.value.suggested_filename == f"{LEVEL}-color.{suffix}"
+        content = Path(saved.value.path()).read_bytes()
+        if suffix == "png":
+            assert Image.open(io.BytesIO(content)).size[0] == 1280
+            continue
+        with MemoryFile(content) as file, file.open() as dataset:
+            assert dataset.crs.to_epsg() == 3857
+            asked = next(each for each in reversed(viewer.asked) if "/map.tif" in each)
+            bbox = [float(each) for each in (re.search(r"bbox=([^&]+)", asked) or [""])[1].replace("%2C", ",").split(",")]
+            np.testing.assert_allclose(dataset.bounds, bbox, atol=0.01)
+            assert dataset.read().std() > 20
+    expect(viewer.page.get_by_text("Saved.")).to_be_visible()
+
+
+def test_lines_for_other_maps_are_the_services(viewer: Viewer, service: Client):
+    opened(viewer, "use")
+    lines = service.get(f"/levels/{LEVEL}/lines.json", params={"time": TIME}).json()
+    for each in lines:
+        viewer.page.locator(".clients summary").get_by_text(each["client"], exact=True).click()
+        expect(viewer.page.get_by_label(f"Lines for {each['client']}", exact=True)).to_have_text(each["text"])
+    assert {"MapLibre", "Leaflet", "OpenLayers", "GDAL"} <= {each["client"] for each in lines}
+    assert any("QGIS" in each["client"] for each in lines)
+    assert not faults(viewer.page)
+
+
+def test_modules_by_themselves():
+    """The tests of the viewer's own modules, in Node."""
+    if not (MODULES / "node_modules").is_dir() or not NODE.exists():
+        missing("the viewer's modules are not installed: 'make viewer' does it")
+    done = subprocess.run(
+        [NODE, "--test", *sorted(MODULES.glob("test/*.test.mjs"))], cwd=MODULES, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stdout[-4000:]
+
+
+def _picture(viewer: Viewer) -> np.ndarray:
+    """The map between the panel and the controls, over the dock, once it stands still."""
+    viewer.shown()
+    return viewer.pixels(FloatRect(x=LEFT_PX, y=60, width=800, height=400))
+
+
+def _differing(one: np.ndarray, other: np.ndarray) -> float:
+    return float((np.abs(one.astype(int) - other).max(axis=2) > 32).mean())

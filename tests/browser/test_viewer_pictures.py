@@ -1,0 +1,37 @@
+"""The viewer as it looks, at half its size: light, dark, on a phone. Fonts are the machine's, so letters may differ."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.browser.conftest import WINDOW, Viewer
+from tests.browser.test_viewer_access import PHONE
+from tests.golden import assert_golden
+
+TOLERANCE, MOST_OFF = 24, 0.02
+"""Letters are less than this of the page; a panel that is elsewhere, or a shadow, is more."""
+
+PAGES = {
+    "light": ({}, ""),
+    "dark": ({"color_scheme": "dark"}, ""),
+    "phone": (PHONE, ""),
+    "direction": ({}, "#azimuth=315&altitude=30"),
+}
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_it_looks_as_it_did(make_viewer: Callable[..., Viewer], request: pytest.FixtureRequest, name: str):
+    window, fragment = PAGES[name]
+    viewer = make_viewer(viewport=WINDOW, reduced_motion="reduce") if not window else make_viewer(reduced_motion="reduce", **window)
+    viewer.page.goto(f"{viewer.address}/{fragment}")
+    viewer.settled()
+    if not fragment:
+        viewer.page.locator(".marks b").first.wait_for()
+    viewer.page.wait_for_timeout(500)
+    pixels = Image.fromarray(viewer.pixels())
+    half = np.asarray(pixels.resize((pixels.width // 2, pixels.height // 2), Image.Resampling.BOX))
+    assert_golden(f"viewer-{name}", half, "llvmpipe", request.config.getoption("--regenerate-goldens"), TOLERANCE, MOST_OFF)

@@ -1,0 +1,90 @@
+/** The second map of a comparison: over the first from the divider on, looking where that looks. It takes no clicks: the first has them. */
+
+import { Map as MapLibre, type StyleSpecification } from 'maplibre-gl';
+
+import { html } from '../dom';
+import { LAYER } from '../map';
+
+/** Layers of the first map that the second has as well. */
+const SHARED = ['ground', 'base', LAYER];
+
+export class OtherMap {
+  readonly #box: HTMLElement;
+  readonly #map: MapLibre;
+  readonly #follow: () => void;
+  #tiles: string;
+  #style = '';
+  #timer: number | undefined;
+
+  /** `tiles`: their template, as the first map's sources have it. */
+  constructor(private readonly first: MapLibre, tiles: string) {
+    this.#tiles = tiles;
+    this.#box = html('div', { class: 'other-map', 'aria-hidden': 'true' });
+    // Below the first map's controls, over its picture.
+    first.getContainer().insertBefore(this.#box, first.getContainer().querySelector('.maplibregl-control-container'));
+    this.#map = new MapLibre({
+      container: this.#box, style: this.#wanted(), interactive: false, attributionControl: false, renderWorldCopies: false,
+      maxPitch: 85, canvasContextAttributes: { preserveDrawingBuffer: true },
+      center: first.getCenter(), zoom: first.getZoom(), bearing: first.getBearing(), pitch: first.getPitch(),
+    });
+    this.#map.getCanvas().tabIndex = -1;
+    this.#map.on('error', () => {});
+    this.#style = JSON.stringify(this.#wanted());
+    this.#follow = () => {
+      this.#map.jumpTo({ center: first.getCenter(), zoom: first.getZoom(), bearing: first.getBearing(), pitch: first.getPitch() });
+    };
+    first.on('move', this.#follow);
+    first.on('styledata', this.#restyleSoon);
+    first.on('sourcedata', this.#restyleSoon);
+    first.on('resize', this.#resize);
+  }
+
+  show(tiles: string): void {
+    this.#tiles = tiles;
+    this.#restyleSoon();
+  }
+
+  split(share: number): void {
+    this.#box.style.setProperty('--split', `${100 * share}%`);
+  }
+
+  remove(): void {
+    clearTimeout(this.#timer);
+    this.first.off('move', this.#follow);
+    this.first.off('styledata', this.#restyleSoon);
+    this.first.off('sourcedata', this.#restyleSoon);
+    this.first.off('resize', this.#resize);
+    this.#map.remove();
+    this.#box.remove();
+  }
+
+  readonly #resize = () => this.#map.resize();
+
+  readonly #restyleSoon = () => {
+    clearTimeout(this.#timer);
+    this.#timer = window.setTimeout(() => {
+      const style = this.#wanted();
+      const key = JSON.stringify(style);
+      if (key === this.#style) return;
+      this.#style = key;
+      this.#map.setStyle(style);
+      this.#follow();
+    }, 60);
+  };
+
+  /** The first map's style, with other tiles. */
+  #wanted(): StyleSpecification {
+    const { sources, layers, terrain } = this.first.getStyle();
+    const shared = layers.filter(({ id }) => SHARED.includes(id));
+    const names = new Set(shared.flatMap((layer) => ('source' in layer ? [layer.source] : [])));
+    if (terrain) names.add(terrain.source);
+    const kept = Object.fromEntries(Object.entries(sources).filter(([name]) => names.has(name)));
+    const level = kept[LAYER];
+    if (level?.type === 'raster') {
+      // A TileJSON's own address would go before the tiles.
+      const { url, ...rest } = level;
+      kept[LAYER] = { ...rest, tiles: [this.#tiles] };
+    }
+    return { version: 8, sources: kept, layers: shared, ...(terrain ? { terrain } : {}) };
+  }
+}

@@ -1,0 +1,106 @@
+/** The plan of what is seen in plain words: what is drawn and what not, what it costs, and by which algorithms. */
+
+import { capital } from '../point/words';
+
+export interface Named {
+  readonly name: string;
+  readonly reason: string;
+}
+
+export interface Plan {
+  readonly policy: string;
+  /** By light and kind of casters. */
+  readonly algorithm: Readonly<Record<string, Readonly<Record<string, string>>>>;
+  readonly effects: readonly Named[];
+  readonly left_out: readonly Named[];
+  readonly rejected: readonly Named[];
+  readonly reasons: readonly Named[];
+  readonly passes: readonly string[];
+  readonly predicted: { readonly ms: number; readonly wrong_cast: number } | null;
+  readonly target: { readonly max_error: number; readonly max_ms: number | null; readonly met: boolean | null };
+}
+
+const SUN = 'sun';
+
+/** Names that say little to somebody who has not drawn shadows, by the service's own. */
+const EFFECTS: Readonly<Record<string, string>> = {
+  cast_shadows: 'Shadows of ridges, houses and trees',
+  alpha_test: 'Light through the gaps of leaves',
+  outside_casters: 'Shadows of what stands outside the picture',
+  sky_view: 'Light of the sky, less of it in valleys',
+  soft_edges: 'Soft edges of shadows',
+  refraction: 'Bending of rays in the air',
+  lamps: 'Lamps',
+  haze: 'Haze',
+  water: 'Water',
+  snow: 'Snow',
+  clouds: 'Clouds',
+};
+
+const aloud = (text: string) => text.replace(/\b[a-z]+(_[a-z]+)+\b/g, (name) => name.replaceAll('_', ' '));
+const number = (value: number) => value.toLocaleString('en', { maximumSignificantDigits: 2, useGrouping: false });
+const percent = (share: number) => `${number(100 * share)} %`;
+const duration = (ms: number) => (ms >= 1000 ? `${number(ms / 1000)} s` : `${number(ms)} ms`);
+
+/** Effects by names that say what is seen; equal reasons go together. */
+export function effectsInWords(list: readonly Named[]): Named[] {
+  return together(list.map(({ name, reason }) => ({ name: EFFECTS[name] ?? capital(aloud(name)), reason })));
+}
+
+/** Algorithms that were not taken; equal reasons go together. */
+export function rejectedInWords(list: readonly Named[]): Named[] {
+  return together(list.map(({ name, reason }) => ({ name: name === 'none' ? 'No shadows' : capital(aloud(name)), reason })));
+}
+
+function together(list: readonly Named[]): Named[] {
+  const groups = new Map<string, string[]>();
+  for (const { name, reason } of list) groups.set(reason, [...(groups.get(reason) ?? []), name]);
+  return [...groups].map(([reason, names]) => ({ name: names.map((name, n) => (n ? name.slice(0, 1).toLowerCase() + name.slice(1) : name)).join(', '), reason: sentence(reason) }));
+}
+
+function sentence(reason: string): string {
+  return reason && `${capital(aloud(reason))}.`;
+}
+
+/** What is taken: kinds of casters of one light with one algorithm and one reason go together. */
+export function choices(plan: Pick<Plan, 'algorithm' | 'reasons'>): Named[] {
+  const told = new Map(plan.reasons.map(({ name, reason }) => [name, reason]));
+  const groups = new Map<string, { light: string; algorithm: string; reason: string; kinds: string[] }>();
+  for (const [light, kinds] of Object.entries(plan.algorithm)) {
+    for (const [kind, algorithm] of Object.entries(kinds)) {
+      const reason = told.get(`${light}/${kind}: ${algorithm}`) ?? '';
+      const key = JSON.stringify([light, algorithm, reason]);
+      const group = groups.get(key) ?? { light, algorithm, reason, kinds: [] };
+      group.kinds.push(kind);
+      groups.set(key, group);
+    }
+  }
+  return [...groups.values()].map(({ light, algorithm, reason, kinds }) => ({
+    name: `${capital(kinds.join(' and '))}${light === SUN ? '' : ` under ${light}`} ${algorithm === 'none' ? 'casts nothing' : `by ${aloud(algorithm)}`}`,
+    reason: sentence(reason),
+  }));
+}
+
+/** The settings that were chosen, each with its reason: what `choices` has not told. */
+export function settingsInWords(plan: Pick<Plan, 'reasons'>): Named[] {
+  return plan.reasons.filter(({ name }) => !name.includes('/') && !name.startsWith('policy'))
+    .map(({ name, reason }) => ({ name: capital(aloud(name)), reason: sentence(reason) }));
+}
+
+/** What the plan is expected to cost, held against what was asked. */
+export function expectation({ policy, predicted, target, reasons }: Pick<Plan, 'policy' | 'predicted' | 'target' | 'reasons'>): string {
+  const asked = `at most ${percent(target.max_error)} of the cast shadow wrong${target.max_ms === null ? '' : `, within ${duration(target.max_ms)}`}`;
+  if (!predicted) {
+    const why = reasons.find(({ name }) => name.startsWith('policy'))?.reason;
+    return `${why ? `${capital(why)}. ` : ''}Time and error are not predicted; asked for: ${asked}.`;
+  }
+  const said = `${policy === 'measure' ? 'Measured' : 'Expected'}: ${duration(predicted.ms)} of shadow work for a block of 1024 pixels, `
+    + `${percent(predicted.wrong_cast)} of the cast shadow wrong.`;
+  if (target.met === null) return `${said} Asked for: ${asked}.`;
+  if (target.met) return `${said} That meets the target: ${asked}.`;
+  const over = [
+    predicted.wrong_cast > target.max_error && `${percent(predicted.wrong_cast - target.max_error)} of the cast shadow`,
+    target.max_ms !== null && predicted.ms > target.max_ms && duration(predicted.ms - target.max_ms),
+  ].filter(Boolean).join(' and ');
+  return `${said} That misses the target (${asked})${over && ` by ${over}`}.`;
+}

@@ -1,0 +1,94 @@
+/** Pictures of views: small ones in the panel, and whole ones in a dialog over the page. */
+
+import { html } from '../dom';
+import { sunQuery } from '../query';
+import { saveFile } from '../saved';
+import { type Query, type Service, inWords, isAbort } from '../service';
+import { settingsQuery } from '../shadow_settings';
+import type { State } from '../state';
+
+/** What a snapshot is asked for in a state, besides which view it is of. */
+export function snapshotQuery(state: State): Query {
+  return { style: state.style, ...sunQuery(state), ...settingsQuery(state) };
+}
+
+/** A picture that says while it waits, and what went wrong. */
+export class Picture {
+  readonly element: HTMLElement;
+  readonly #image = html('img', { alt: '', hidden: true });
+  readonly #words = html('span', { class: 'waiting' });
+  #loading = new AbortController();
+  #blob = '';
+  #address = '';
+
+  constructor(private readonly service: Service, alt: string, private readonly onShown: () => void = () => {}) {
+    this.#image.alt = alt;
+    this.element = html('span', { class: 'picture' }, this.#image, this.#words);
+  }
+
+  /** Shows what an address gives; the picture before stays until then. */
+  async show(address: string): Promise<void> {
+    if (address === this.#address) return;
+    this.#address = address;
+    this.#loading.abort();
+    this.#loading = new AbortController();
+    const { signal } = this.#loading;
+    this.element.classList.add('busy');
+    this.#words.textContent = this.#image.hidden ? 'Drawing …' : '';
+    try {
+      const blob = await (await this.service.request(address, { signal })).blob();
+      if (signal.aborted) return;
+      this.#forget();
+      this.#blob = URL.createObjectURL(blob);
+      this.#image.src = this.#blob;
+      await this.#image.decode();
+      this.#image.hidden = false;
+      this.#words.textContent = '';
+      this.onShown();
+    } catch (error) {
+      if (isAbort(error) || signal.aborted) return;
+      this.#address = '';
+      this.#image.hidden = true;
+      this.#words.textContent = inWords(error);
+    }
+    this.element.classList.remove('busy');
+  }
+
+  /** Ends what it does. */
+  close(): void {
+    this.#loading.abort();
+    this.#forget();
+  }
+
+  #forget(): void {
+    if (this.#blob) URL.revokeObjectURL(this.#blob);
+    this.#blob = '';
+  }
+}
+
+/** Opens a whole picture over the page; Escape closes it. */
+export function openPicture(service: Service, title: string, address: string, name: string): void {
+  const picture = new Picture(service, title);
+  const said = html('span', { role: 'status' });
+  const save = html('button', {
+    type: 'button',
+    onclick: async () => {
+      try {
+        await saveFile(service, address, name);
+      } catch (error) {
+        said.textContent = inWords(error);
+      }
+    },
+  }, 'Save');
+  const close = html('button', { type: 'button', onclick: () => dialog.close() }, 'Close');
+  const dialog = html('dialog', { class: 'whole-picture', 'aria-label': title },
+    html('header', {}, html('h2', {}, title), said, save, close), picture.element);
+  dialog.addEventListener('click', (event) => { if (event.target === dialog) dialog.close(); });
+  dialog.addEventListener('close', () => {
+    picture.close();
+    dialog.remove();
+  });
+  document.body.append(dialog);
+  dialog.showModal();
+  void picture.show(address);
+}
