@@ -118,6 +118,21 @@ class AlphaTestFacts(_Facts):
     drawn: StrictBool = True
 
 
+class CrownFacts(_Facts):
+    """Of ``terrain.effects.crowns``."""
+
+    trees: FactNumber
+    sunlit: StrictBool
+
+
+class GroundDetailFacts(_Facts):
+    """Of ``terrain.effects.ground_detail``, metres and a share of the albedo."""
+
+    draped: StrictBool
+    nearest_m: FactNumber | None
+    share: FactNumber | None
+
+
 class OutsideCasterFacts(_Facts):
     """Of ``terrain.effects.outside_casters``."""
 
@@ -136,6 +151,8 @@ class FactsByEffect(_Facts):
     cast_shadows: CastShadowFacts | None = None
     alpha_test: AlphaTestFacts | None = None
     outside_casters: OutsideCasterFacts | None = None
+    crowns: CrownFacts | None = None
+    ground_detail: GroundDetailFacts | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -171,7 +171,8 @@ def shadow_of_block(trial: Trial, lying: Lying, shape: tuple[int, int], name: st
     heights = np.zeros(shape, np.float32)
     heights[block] = height_m
     path = trial.raster(heights, ENGINEERING, 0.0, 0.0, 1.0, name=name, transform=placing)
-    scene = trial.scene(path, (0, altitude), name=name)
+    # Through clear air: cells of 1 km lie so far away that a camera sees no shadow there through any other.
+    scene = trial.scene(path, (0, altitude), name=name, weather={"visibility": 1e7})
     # Nodes are the centres of cells, and the top ends at the outermost ones.
     corners = np.array([placing @ (c + 0.5, r + 0.5) for r in block[0].ravel()[[0, -1]] for c in block[1].ravel()[[0, -1]]])
     worst: dict[str, float] = {}

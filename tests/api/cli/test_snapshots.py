@@ -158,7 +158,7 @@ def test_headers(yards: Client):
     assert set(plan["algorithm"]) == {"sun", "lamp"}
     timings = [part.split(";")[0] for part in answer.headers["server-timing"].split(", ")]
     assert len(timings) == len(plan["passes"]) + 3
-    assert (timings[0], timings[-4:]) == ("geometry", ["shading", "encode", "snapshot", "total"])
+    assert (timings[0], timings[-4:]) == ("geometry", ["haze", "encode", "snapshot", "total"])
     assert "lamp-meshes" in answer.headers["server-timing"]
     words = dict(part.split("=") for part in answer.headers["x-skugga-caster-reach"].split("; "))
     assert set(words) == {"used", "needed", "clipped"}
@@ -283,7 +283,7 @@ def test_documentation(yards: Client):
     described = yards.get("/openapi.json").json()["paths"]["/levels/{level}/snapshot.{format}"]["get"]
     assert {each["name"] for each in described["parameters"]} == {
         "level", "format", "view", "size", "layer", "light", "seconds",
-        "time", "azimuth", "altitude", "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
+        "time", "azimuth", "altitude", "style", "slope_exaggeration", "eye", "target", "fov", "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
         "stencil", "counting", "mask",
     }  # fmt: skip
 
