@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, ParamSpec, TypeVar
 
 import numba
+from numba.core import event
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -22,6 +24,29 @@ _reasons: list[str] = []
 def why_not_kept() -> str | None:
     """Why this process cannot keep compiled loops for others, and what helps, in a sentence; ``None`` while it can."""
     return f"{_reasons[0]}: {REMEDY}" if _reasons else None
+
+
+@contextmanager
+def told_of_compiling(say: Callable[[], None]) -> Iterator[None]:
+    """Call ``say`` once, if a loop that is kept nowhere is compiled meanwhile: after an installation that takes a minute or two."""
+    with event.install_listener("numba:compile", _First(say)):
+        yield
+
+
+class _First(event.Listener):
+    """Calls a function at the first event."""
+
+    def __init__(self, say: Callable[[], None]) -> None:
+        self._say: Callable[[], None] | None = say
+
+    def on_start(self, event: Any) -> None:
+        """Call it, if it was not yet."""
+        say, self._say = self._say, None
+        if say is not None:
+            say()
+
+    def on_end(self, event: Any) -> None:
+        """Nothing."""
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:

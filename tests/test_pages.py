@@ -6,10 +6,14 @@ import ast
 import importlib
 import json
 import re
+import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
+from api.cli.main import app
 from benchmarks.peers import figures as peer_figures
 from benchmarks.peers.pages import page, short_table
 from benchmarks.seeds import __main__ as seeds
@@ -57,6 +61,28 @@ def test_what_pages_point_to_is_there(page):
         target, _, anchor = link.partition("#")
         if not re.match(r"[a-z]+:", link) and target:
             assert (page.parent / target).exists(), link
+
+
+def commands_of(page: str) -> list[list[str]]:
+    """The words of each ``skugga`` command in the shell examples of a page."""
+    examples = "\n".join(re.findall(r"```sh\n(.*?)```", page, re.DOTALL)).replace("\\\n", " ")
+    lines = [shlex.split(line, comments=True) for line in examples.splitlines()]
+    return [words[1:] for words in lines if words[:1] == ["skugga"]]
+
+
+@pytest.mark.parametrize("path", [HERE / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda path: path.name)
+def test_commands_have_the_options_that_examples_give_them(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only read, not run: a command or an option that is not there is an error of usage."""
+    group: Any = typer.main.get_command(app)
+    monkeypatch.chdir(tmp_path)
+    for name, *words in commands_of(path.read_text("utf-8")):
+        for raster in (word for word in words if re.fullmatch(r"[\w-]+\.(tif|vrt)", word)):
+            Path(raster).touch()
+        group.commands[name].make_context(name, words)
+
+
+def test_the_first_page_shows_commands() -> None:
+    assert {words[0] for words in commands_of((HERE / "README.md").read_text("utf-8"))} >= {"shade", "serve", "render"}
 
 
 def names_imported(page: str) -> list[tuple[str, str]]:

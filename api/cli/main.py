@@ -26,6 +26,7 @@ from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
 from api.point.horizon_formats import HORIZON_FORMATS
 from api.raster_file import RasterCells
 from api.shade import SHADE_LAYERS
+from terrain.compiled import told_of_compiling
 from terrain.errors import InputError, SkuggaError, printable
 from terrain.level.gdal_guard import cap_caches, forbid_code, forbid_remote_reads
 from terrain.level.level import parse_sun
@@ -528,7 +529,7 @@ def main() -> None:
     forbid_code()
     cap_caches()
     try:
-        with _ended_in_order():
+        with _ended_in_order(), told_of_compiling(_say_compiling):
             status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except _UsageError as error:
         status = _fail(error.format_message(), 2)
@@ -547,6 +548,11 @@ def main() -> None:
             raise
         status = _fail(f"internal error, {type(error).__name__}: {error}; --debug shows where", 1)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _say_compiling() -> None:
+    if sys.stderr.isatty():
+        typer.echo("skugga: compiling loops, once for this installation: a minute or two", err=True)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from typing import Any
 
 from api.cli.outputs import check_targets
 from api.cli.times import paths_by_time
-from api.cli.warnings import say_warnings
+from api.cli.warnings import say_own_sun, say_warnings
 from api.raster_file import RasterCells
 from api.shade import SHADE_LAYERS, Bounds, raster_view, write_shade
 from api.stac_item import read_stac_item
@@ -40,6 +40,8 @@ def shade_level(
     check_targets(level, [("--output", path) for path in paths], like if isinstance(like, Path) else None)
     scene = build_scene(load_level(level))
     say_warnings(scene)
+    if None in suns:
+        say_own_sun(scene)
     try:
         write_shade(scene, raster_view(scene, bounds, crs, resolution, like), layer, suns, paths, overrides, on_block)
     finally:

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from api.cli.warnings import say_warnings
+from api.cli.warnings import say_own_sun, say_warnings
 from api.device_calibration import calibration_for
 from selector.select import plan_of_view
 from shadows.passes import PassLayer
@@ -49,6 +49,8 @@ def snapshot(
 ) -> tuple[Scene, Frame]:
     """The scene and the frame of a level's view, with intermediate ``layers``. Raises ``SkuggaError``."""
     scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
+    if sun is None:
+        say_own_sun(scene)
     scene = scene.with_style(*look)
     device = calibration_for(scene.loaded.level.shadows, overrides)
     plan = plan_of_view(scene, view_value, view, overrides, device=device)

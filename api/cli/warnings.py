@@ -1,9 +1,12 @@
-"""What may be wrong with a level that can be drawn, on standard error."""
+"""What may not be as it was meant with a level that can be drawn, on standard error."""
 
 from __future__ import annotations
 
+import sys
+
 import typer
 
+from api.report.plan_text import format_sun
 from terrain.errors import printable
 from terrain.scene import Scene
 
@@ -12,3 +15,10 @@ def say_warnings(scene: Scene) -> None:
     """One line for each warning."""
     for text in scene.warnings:
         typer.echo(printable(f"skugga: warning: {scene.elevation.name}: {text}"), err=True)
+
+
+def say_own_sun(scene: Scene) -> None:
+    """On a terminal, which sun is taken where none was asked for: a picture does not show that nobody chose it."""
+    if sys.stderr.isatty():
+        said = f"{scene.loaded.name} is drawn with its own light, {format_sun(scene.sun)}; --time says another"
+        typer.echo(printable(f"skugga: {said}"), err=True)

@@ -61,7 +61,7 @@ from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.cache import MIB, Cache, Missing
 from terrain.casters.slopes import extent_on_grid
-from terrain.compiled import why_not_kept
+from terrain.compiled import told_of_compiling, why_not_kept
 from terrain.describe import describe
 from terrain.errors import Fault, GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.facts.descriptor import Descriptor
@@ -343,7 +343,8 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
 
         if reason := why_not_kept():
             say(reason)
-        renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
+        with told_of_compiling(lambda: say("first start: compiling loops, which takes a minute or two")):
+            renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
         state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.most_ms)
         prepare(config.served, state, say)
         pipe.send(Ready(state.renderer, state.device, gl.renderer_and_version()[1]))

@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.reports.measure import measured
-from benchmarks.reports.page import IN_README, comparisons, readme_figure
+from benchmarks.reports.page import comparisons
 from benchmarks.reports.scenes import SCENES
 from benchmarks.selection.page import with_tables
 
 ROOT = Path(__file__).parents[2]
 KEPT = Path(__file__).with_name("reports.json")
-PAGE, README = ROOT / "docs" / "comparisons.md", ROOT / "README.md"
+PAGE = ROOT / "docs" / "comparisons.md"
 REPORTS, PLOTS = ROOT / "docs" / "compare", ROOT / "docs" / "images"
 
 
@@ -33,12 +33,9 @@ def kept() -> dict[str, dict[str, Any]]:
     return {name: found[name] for name in SCENES if name in found}
 
 
-def write_pages() -> None:
-    """The page, and the README's figure, of what is kept."""
-    records = kept()
-    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), comparisons(records)), encoding="utf-8")
-    if IN_README in records:
-        README.write_text(with_tables(README.read_text(encoding="utf-8"), readme_figure(records)), encoding="utf-8")
+def write_page() -> None:
+    """The page of what is kept."""
+    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8"), comparisons(kept())), encoding="utf-8")
 
 
 def make(name: str, data: Path, time_limit_s: float | None) -> None:
@@ -67,13 +64,13 @@ def main() -> None:
     parser.add_argument("--write-only", action="store_true")
     args = parser.parse_args()
     if args.write_only:
-        write_pages()
+        write_page()
         return
     if args.data is None:
         parser.error("DATA is needed: the folder of sample rasters")
     if len(args.only) == 1:
         make(args.only[0], args.data, args.time_limit)
-        write_pages()
+        write_page()
         return
     limit = [] if args.time_limit is None else ["--time-limit", f"{args.time_limit:g}"]
     if failed := make_all(args.only, [str(args.data), *limit]):

@@ -1,4 +1,4 @@
-"""The measured part of docs/comparisons.md, and the figure of the README, from the figures that are kept."""
+"""The measured part of docs/comparisons.md, from the figures that are kept."""
 
 from __future__ import annotations
 
@@ -14,9 +14,6 @@ Figures = dict[str, Any]
 
 TARGETS = [goal for goal in GOALS if goal.within is None]
 """Those without a limit of time."""
-
-IN_README = "village"
-"""The scene whose plot the README shows."""
 
 
 def comparisons(records: Mapping[str, Figures]) -> str:
@@ -43,20 +40,6 @@ def comparisons(records: Mapping[str, Figures]) -> str:
         *(_section(name, each) for name, each in records.items()),
     ]
     return "\n".join(parts) + "\n"
-
-
-def readme_figure(records: Mapping[str, Figures]) -> str:
-    """The plot of a scene and what it shows."""
-    each = records[IN_README]
-    found = [(goal.name, GoalInstance(each, goal, None).cheapest) for goal in TARGETS]
-    reached = [f"{goal} in {_time(each['rows'][row])} (`{row}`)" for goal, row in found if row is not None]
-    missed = [goal for goal, row in found if row is None]
-    sentences = [f"Fastest with at most so much of the cast shadow wrong: {', '.join(reached)}."] if reached else []
-    sentences += [f"No row gets down to {' or '.join(missed)}."] if missed else []
-    return (
-        f"![{each['title']}: error against time of {_judged(each)} rows](docs/images/compare-{IN_README}.svg)\n\n"
-        f"*{each['title']}, {each['size']} on {each['device']}, {each['processors']} processors. {' '.join(sentences)}*\n"
-    )
 
 
 def commands(each: Figures) -> list[str]:

@@ -14,14 +14,14 @@ import typer
 from api.cli.main import app
 from benchmarks.reports import __main__ as reports
 from benchmarks.reports.measure import MOST_BYTES, publish, record
-from benchmarks.reports.page import commands, comparisons, readme_figure
+from benchmarks.reports.page import commands, comparisons
 from benchmarks.reports.scenes import SCENES
 from benchmarks.selection.page import END, START
 from shadows.truth.metrics import MOST_INTERIOR
 from tests.api.report.test_summary import NONE, comparison, figures
 
 DOCS = reports.ROOT / "docs"
-PAGE, README = (path.read_text(encoding="utf-8") for path in (reports.PAGE, reports.README))
+PAGE = reports.PAGE.read_text(encoding="utf-8")
 
 SAID = dict.fromkeys(("level", "view", "size", "light", "device", "driver", "processors", "Skugga", "made"), "said")
 RUN = {"time_limit_s": 70.0, "took_s": 70, "load": 0.0}
@@ -43,9 +43,8 @@ def measured_part(text: str) -> str:
     return text.partition(START)[2].partition(END)[0]
 
 
-def test_the_page_and_the_figure_are_what_the_script_writes_of_its_figures() -> None:
+def test_the_page_is_what_the_script_writes_of_its_figures() -> None:
     assert measured_part(PAGE) == comparisons(reports.kept())
-    assert measured_part(README) == readme_figure(reports.kept())
 
 
 def test_the_page_links_every_report_that_is_there_and_no_other() -> None:

@@ -41,6 +41,35 @@ def test_a_cache_that_names_a_tuple_of_an_older_version_counts_as_empty(tmp_path
     assert run("GroundWindow", 3.0) == "12.0"
 
 
+SAYS_SO = """
+from terrain.compiled import compiled, told_of_compiling
+
+@compiled
+def one():
+    return 1
+
+@compiled
+def two():
+    return 2
+
+with told_of_compiling(lambda: print("compiling")):
+    print(one() + two())
+"""
+
+
+def test_a_process_says_once_that_it_compiles_and_one_that_finds_loops_says_nothing(tmp_path: Path) -> None:
+    (tmp_path / "loops.py").write_text(SAYS_SO, encoding="utf-8")
+
+    def run() -> list[str]:
+        command, root = [sys.executable, "-c", "import loops"], str(Path(__file__).resolve().parents[2])
+        done = subprocess.run(command, cwd=tmp_path, env={"PYTHONPATH": f"{tmp_path}:{root}"}, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
+
+    assert run() == ["compiling", "3"]
+    assert run() == ["3"]
+
+
 KEPT_NOWHERE = """
 import errno, numba
 from numba.core import caching
