@@ -283,7 +283,8 @@ def test_documentation(yards: Client):
     described = yards.get("/openapi.json").json()["paths"]["/levels/{level}/snapshot.{format}"]["get"]
     assert {each["name"] for each in described["parameters"]} == {
         "level", "format", "view", "size", "layer", "light", "seconds",
-        "time", "azimuth", "altitude", "style", "slope_exaggeration", "eye", "target", "fov", "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
+        "time", "azimuth", "altitude", "style", "slope_exaggeration", "eye", "target", "fov",
+        "algorithm", "map_size", "depth_bits", "filter", "bias", "culling",
         "stencil", "counting", "mask",
     }  # fmt: skip
 
