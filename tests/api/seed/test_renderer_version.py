@@ -10,12 +10,12 @@ from shadows.render import RENDERER_VERSION
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 
 PICTURES = {1: "4653dc1e7c9d2b5e", 2: "4fe7c0ba9db922a4"}
-"""The digest of all golden pictures, for each version of the renderer."""
+"""The digest of all golden pictures of levels, for each version of the renderer."""
 
 
 def test_golden_pictures_have_not_changed_without_the_renderers_version():
     digest = hashlib.blake2b(digest_size=8)
-    for path in sorted(GOLDEN.rglob("*.png")):
+    for path in sorted(path for path in GOLDEN.rglob("*.png") if not path.name.startswith("viewer-")):  # pages, no pictures
         digest.update(path.name.encode() + path.read_bytes())
     assert digest.hexdigest() == PICTURES[RENDERER_VERSION], (
         "golden pictures were changed: raise RENDERER_VERSION in shadows/render.py where the pictures of tiles are other ones, "
