@@ -227,7 +227,7 @@ def test_perspective_counts_what_is_seen(cloudy) -> None:
     verdicts = []
     for second in range(0, 3000, 300):
         later = at_second(scene, float(second))
-        view = later._perspective_view("down", spec, None)
+        view = later.view_from(spec)
         light = sunlight_of(later, view)
         seen = clouds.called_for(describe(later, view, "down")).called_for
         assert seen or np.nanmin(light) > 1.0 - clouds.UNSEEN
