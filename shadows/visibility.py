@@ -67,7 +67,7 @@ def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effe
     """
     if "haze" not in effects or light != SUN or isinstance(buffer.view, MapView):
         return buffer
-    limit_m = hides_beyond_m(scene)
+    limit_m = hides_beyond_m(scene, buffer.view)
     if np.isinf(limit_m):
         return buffer
     away_m = np.linalg.norm(buffer.position_frame_m - buffer.view.in_frame(buffer.frame)[0], axis=-1)

@@ -7,7 +7,9 @@ colour c at distance d the share T = exp(-b d) arrives; the air in front of it s
     T c + (1 - T) h
 
 so that what is far away goes over into the foot of the sky without a seam. The sky itself stays as it is: h is the colour of
-air without an end in that direction, warm towards a low sun. The air is taken to be the same at all heights.
+air without an end in that direction, warm towards a low sun. The air of a level's own visibility is taken to be the same at all
+heights. Clear air is as thin as it is on average between the lowest ground and the eye, with a scale height H of 8 km: at the
+height z of the eye over that ground, (1 - exp(-z / H)) H / z of what it is there. From an orbit ground is seen well.
 
 V is measured by green light. What of b the air itself scatters (J. W. Strutt, Lord Rayleigh 1871; 13.6e-6 / m of green at most)
 falls with the fourth power of the wavelength, what dust and drops scatter hardly does: far ridges are blue in clear air, and grey
@@ -39,7 +41,7 @@ from terrain.gbuffer.picture import solids_in
 from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame
+from terrain.geo.world import LocalFrame, geodetic
 from terrain.scene import Scene
 from terrain.shading import daylight_of, shoulder
 from terrain.sky import horizon_colors, sky_color, sky_of, sunward
@@ -50,6 +52,9 @@ CONTRAST = 0.02
 
 CLEAR_AIR_M = 100_000.0
 """Visibility where a level sets none: clear weather, without the dust of a dry summer."""
+
+SCALE_HEIGHT_M = 8000.0
+"""Height over which air thins to 1/e."""
 
 RAYLEIGH_PER_M = (5.802e-6, 13.558e-6, 33.1e-6)
 """Scattering of red, green and blue light by air at sea level (E. Bruneton and F. Neyret 2008)."""
@@ -90,7 +95,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     """
     if coarse_view is None:
         return {"visibility_m": scene.loaded.level.weather.visibility}
-    visibility_m = visibility_of(scene)
+    visibility_m = visibility_of(scene, view)
     shows_from_m = _shows_from_m(scene, visibility_m)
     farthest_m = float(coarse_view.away_m.max(initial=0.0))
     if farthest_m <= shows_from_m and isinstance(view, PerspectiveView):
@@ -98,10 +103,16 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
     return {"visibility_m": visibility_m, "farthest_m": farthest_m, "shows_from_m": shows_from_m}
 
 
-def visibility_of(scene: Scene) -> float:
-    """The meteorological visibility over a level, metres."""
+def visibility_of(scene: Scene, view: MapView | PerspectiveView) -> float:
+    """The meteorological visibility in a view of a level, metres."""
     visibility_m = scene.loaded.level.weather.visibility
-    return CLEAR_AIR_M if visibility_m is None else visibility_m
+    if visibility_m is not None:
+        return visibility_m
+    if isinstance(view, MapView):
+        return CLEAR_AIR_M
+    height_m = float(view.eye_earth_m[2] if scene.world.flat else geodetic(view.eye_earth_m)[2])
+    up = max(height_m - scene.height_range_m[0], 1e-3) / SCALE_HEIGHT_M
+    return CLEAR_AIR_M * up / -float(np.expm1(-up))
 
 
 def extinction(visibility_m: float) -> float:
@@ -161,7 +172,7 @@ def _pyramid(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.n
     return eye, camera_from_frame, tangents, inward
 
 
-def hides_beyond_m(scene: Scene) -> float:
+def hides_beyond_m(scene: Scene, view: PerspectiveView) -> float:
     """The distance from which haze hides whether the sun shines on a point: no pixel's colour differs by more than one of 255.
 
     0 where the sun is down everywhere.
@@ -170,7 +181,7 @@ def hides_beyond_m(scene: Scene) -> float:
         return 0.0
     darkest = horizon_colors(scene).min(axis=0)
     shares = [_hiding_share((dark,), (white,)) for dark, white in zip(darkest, _white_in_sun(scene), strict=True)]
-    return float((-np.log(shares) / extinctions(visibility_of(scene))).max())
+    return float((-np.log(shares) / extinctions(visibility_of(scene, view))).max())
 
 
 def _white_in_sun(scene: Scene) -> np.ndarray:
@@ -227,7 +238,14 @@ def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
     up /= np.linalg.norm(up)
     level = np.zeros(3) if scene.sun is None else sunward(scene.sun.in_frame(frame), up)
     _veil(
-        color, block.buffer.there, block.buffer.position_frame_m, eye, extinctions(visibility_of(scene)), up, level, sky_of(scene)
+        color,
+        block.buffer.there,
+        block.buffer.position_frame_m,
+        eye,
+        extinctions(visibility_of(scene, view)),
+        up,
+        level,
+        sky_of(scene),
     )
 
 

@@ -27,6 +27,7 @@ from terrain.effects.haze import (
     extinction,
     extinctions,
     hides_beyond_m,
+    visibility_of,
 )  # fmt: skip
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import MESHES
@@ -55,6 +56,10 @@ def floor(tmp_path):
         return build_scene(load_level(path))
 
     return make
+
+
+def hidden_beyond_m(scene: Scene) -> float:
+    return hides_beyond_m(scene, scene.view("v"))
 
 
 def points(scene: Scene, away_m: np.ndarray, facing: np.ndarray, albedo: np.ndarray) -> tuple[PerspectiveView, GeometryBuffer]:
@@ -148,8 +153,10 @@ def test_forced_on_without_distance_changes_nothing(floor):
 
 def test_where_a_level_sets_none_the_air_is_clear(floor):
     color = np.full((1, 3), 0.1)
-    unset, said = (hazed(floor(**keys), color, np.array([9000.0])) for keys in ({}, {"weather": {"visibility": CLEAR_AIR_M}}))
-    assert (unset == said).all() and (unset > color).all() and unset[0, 2] > unset[0, 1] > unset[0, 0]
+    unset = hazed(floor(), color, np.array([9000.0]))
+    said = hazed(floor(weather={"visibility": visibility_of(floor(), floor().view("v"))}), color, np.array([9000.0]))
+    np.testing.assert_allclose(unset, said, rtol=1e-3)  # the view of ``hazed`` has an eye of its own
+    assert (unset > color).all() and unset[0, 2] > unset[0, 1] > unset[0, 0]
 
 
 def test_the_encoders_bins():
@@ -207,21 +214,21 @@ def difference_of_sunlight(scene: Scene, away_m: float) -> np.ndarray:
 @pytest.mark.parametrize("visibility", [80, 5000])
 def test_beyond_its_distance_haze_hides_what_the_sun_does_and_before_it_does_not(floor, altitude, visibility):
     scene = floor(sun={"azimuth": 130, "altitude": altitude}, weather={"visibility": visibility})
-    beyond_m = hides_beyond_m(scene)
+    beyond_m = hides_beyond_m(scene, scene.view("v"))
     assert difference_of_sunlight(scene, beyond_m * 1.0001).max() <= 1
     assert difference_of_sunlight(scene, 2.0 * beyond_m).max() <= 1
     assert difference_of_sunlight(scene, 0.8 * beyond_m).max() > 1
 
 
 def test_clear_air_hides_little_and_at_night_all_is_hidden(floor):
-    assert 1.0 * CLEAR_AIR_M < hides_beyond_m(floor()) < 3.0 * CLEAR_AIR_M
-    assert hides_beyond_m(floor(weather={"visibility": 100}, sun={"azimuth": 0, "altitude": -20})) == 0.0
-    assert hides_beyond_m(floor(weather={"visibility": 100}, sun="none")) == 0.0
+    assert 1.0 * CLEAR_AIR_M < hidden_beyond_m(floor()) < 3.0 * CLEAR_AIR_M
+    assert hidden_beyond_m(floor(weather={"visibility": 100}, sun={"azimuth": 0, "altitude": -20})) == 0.0
+    assert hidden_beyond_m(floor(weather={"visibility": 100}, sun="none")) == 0.0
 
 
 def test_visibility_scales_what_is_hidden(floor):
     """In proportion in mist, of which air is no part to speak of."""
-    one, two = (hides_beyond_m(floor(weather={"visibility": v})) for v in (20, 40))
+    one, two = (hidden_beyond_m(floor(weather={"visibility": v})) for v in (20, 40))
     assert two == pytest.approx(2.0 * one, rel=1e-3)
 
 
@@ -231,6 +238,16 @@ def test_the_horizon_that_the_predicate_goes_by_holds_every_direction(floor):
     for azimuth in np.linspace(0.0, np.pi, 1001):
         sky_color(sky_of(scene), 0.0, np.cos(azimuth), out)
         assert (out >= some.min(axis=0) - 2e-4).all() and (out <= some.max(axis=0) + 2e-4).all()
+
+
+def test_clear_air_thins_with_the_height_of_the_eye(floor):
+    """By the mean of exp(-z / 8 km) up to the eye, summed by hand; a level's own visibility does not."""
+    for up_m in (10.0, 3000.0, 40_000.0):
+        scene, z = floor(eye=(0.0, -190.0, up_m)), (np.arange(20_000) + 0.5) * up_m / 20_000
+        thin = np.exp(-z / 8000.0).mean()
+        assert visibility_of(scene, scene.view("v")) == pytest.approx(CLEAR_AIR_M / thin, rel=1e-4)
+        hazy = floor(eye=(0.0, -190.0, up_m), weather={"visibility": 5000})
+        assert visibility_of(hazy, hazy.view("v")) == 5000.0
 
 
 @pytest.mark.long
