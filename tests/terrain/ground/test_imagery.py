@@ -116,8 +116,9 @@ def test_where_there_is_no_imagery_the_tint_shows(gl, hill, write_raster, make_s
     data = colours(4)[:, :, :8]
     data = np.maximum(data, 1)
     data[:, 3:6, 2:5] = 0
-    scene = draped(write_raster, make_scene, hill, data, nodata=0, views=eye_view())
-    bare = make_scene(hill, views=eye_view())
+    plain = {"views": eye_view(), "effects": {"ground_detail": "off"}}  # which is for ground without imagery
+    scene = draped(write_raster, make_scene, hill, data, nodata=0, **plain)
+    bare = make_scene(hill, **plain)
     view = scene.view(bounds=(X0 + 10, Y0 - 390, X0 + 390, Y0 - 10), size=(190, 190))
     x, y = xy_of(view)
     covered = (x < X0 + 8 * CELL) & (y < Y0) & (y > Y0 - SIDE * CELL)
