@@ -44,20 +44,19 @@ A_PARAMETER: Edits = {
             '    raised: Annotated[float | None, Query(description="Degrees more.")] = None,\n'
             "    **asked: Any,\n) -> PictureRequest:",
         ),
-        ("    return PictureRequest(sun=", "    return PictureRequest(raised=raised, sun="),
+        ("    return PictureRequest(\n        sun=sun,", "    return PictureRequest(\n        raised=raised, sun=sun,"),
     ),
     "api/workers/jobs.py": (
         (
-            "    sun: SunSpec | None = None\n    overrides: RequestedSettings = RequestedSettings()\n",
-            "    sun: SunSpec | None = None\n    raised: float | None = None\n"
-            "    overrides: RequestedSettings = RequestedSettings()\n",
+            "    sun: SunSpec | None = None\n    style: StyleName | None = None\n",
+            "    sun: SunSpec | None = None\n    raised: float | None = None\n    style: StyleName | None = None\n",
         ),
         (
-            "        return scene.with_sun(self.sun)\n",
+            "        return scene.with_sun(self.sun).with_style(",
             "        sun = self.sun\n"
             "        if sun is not None and self.raised is not None:\n"
             "            sun = SunSpec(azimuth=sun.azimuth, altitude=sun.altitude + self.raised)\n"
-            "        return scene.with_sun(sun)\n",
+            "        return scene.with_sun(sun).with_style(",
         ),
     ),
 }  # fmt: skip
@@ -101,6 +100,7 @@ def test_a_setting_more_is_everywhere(said):
     documented = found["openapi"]
     assert {path.rpartition("/")[2] for path in documented} == {
         "{y}.{format}", "{y}@2x.{format}", "tilejson.json", "legend.{format}", "map.{format}", "snapshot.{format}", "plan",
+        "lines.json",
     }  # fmt: skip
     for parameter in documented.values():
         assert parameter["description"] == "How shadows shine."
@@ -136,7 +136,7 @@ def test_a_layer_more_is_everywhere(said):
 
 def test_a_parameter_more_reaches_the_picture_and_its_tags(said):
     found = said(A_PARAMETER, "parameter")
-    assert len(found["openapi"]) == 6
+    assert len(found["openapi"]) == 7
     for headline in found["http"]:
         assert json.loads(headline) == [{}, 42.0]
     assert "raised=12" in found["tilejson"][0]
