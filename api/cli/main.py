@@ -552,7 +552,7 @@ def main() -> None:
 
 def _say_compiling() -> None:
     if sys.stderr.isatty():
-        typer.echo("skugga: compiling loops, once for this installation: a minute or two", err=True)
+        typer.echo("skugga: compiling loops, once for this installation: some minutes", err=True)
 
 
 @contextmanager

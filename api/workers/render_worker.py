@@ -343,7 +343,7 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
 
         if reason := why_not_kept():
             say(reason)
-        with told_of_compiling(lambda: say("first start: compiling loops, which takes a minute or two")):
+        with told_of_compiling(lambda: say("first start: compiling loops, which takes some minutes")):
             renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
         state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.most_ms)
         prepare(config.served, state, say)
