@@ -4,9 +4,10 @@ import { TILE_MATRIX_SET } from './service';
 import type { Tiles } from './tiles';
 
 const TILE_PX = 256;
+const TILE_BYTES = TILE_PX ** 2 * 4;
 /** Decoded pictures take 4 bytes a pixel; older ones are put together anew from their tiles. */
-const MOST_BYTES = 256 * 2 ** 20;
-const MOST_TILES = 48;
+const MOST_BYTES = 512 * 2 ** 20;
+const [LEAST_TILES, MOST_TILES] = [12, 48];
 
 /** A rectangle of tiles of a zoom. */
 export interface Range {
@@ -25,15 +26,18 @@ const row = (lat: number, zoom: number) => (0.5 - Math.asinh(Math.tan((lat * Mat
 const lonOf = (col: number, zoom: number) => (col / 2 ** zoom) * 360 - 180;
 const latOf = (down: number, zoom: number) => (Math.atan(Math.sinh(Math.PI * (1 - (2 * down) / 2 ** zoom))) * 180) / Math.PI;
 
-/** The tiles that cover what is seen of a level, at a zoom or, where they would be too many, a coarser one; null: none is seen. */
-export function rangeOver(seen: Bounds, level: Bounds, zoom: number, minzoom: number): Range | null {
+/** So many tiles a picture may have, that so many pictures stay: shown round and round, all would go before they come again. */
+export const tilesOfEach = (pictures: number) => Math.max(LEAST_TILES, Math.min(MOST_TILES, Math.floor(MOST_BYTES / (pictures * TILE_BYTES))));
+
+/** The tiles that cover what is seen of a level, at a zoom or, where they are more than `most`, a coarser one; null: none is seen. */
+export function rangeOver(seen: Bounds, level: Bounds, zoom: number, minzoom: number, most = MOST_TILES): Range | null {
   const [west, east] = [Math.max(seen[0], level[0]), Math.min(seen[2], level[2])];
   const [south, north] = [Math.max(seen[1], level[1]), Math.min(seen[3], level[3])];
   if (west >= east || south >= north) return null;
   for (let at = zoom; ; at -= 1) {
     const [left, top] = [Math.floor(column(west, at)), Math.floor(row(north, at))];
     const [cols, rows] = [Math.ceil(column(east, at)) - left, Math.ceil(row(south, at)) - top];
-    if (cols * rows <= MOST_TILES || at <= minzoom) return { zoom: at, left, top, cols, rows };
+    if (cols * rows <= most || at <= minzoom) return { zoom: at, left, top, cols, rows };
   }
 }
 

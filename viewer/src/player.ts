@@ -7,7 +7,7 @@
 
 import type { CanvasSource } from 'maplibre-gl';
 
-import { type Frames, type Range, cornersOf, rangeOver } from './frames';
+import { type Frames, type Range, cornersOf, rangeOver, tilesOfEach } from './frames';
 import { LAYER, type LevelMap } from './map';
 import { DAY_MINUTES } from './moments';
 import { pictureQuery } from './query';
@@ -48,6 +48,9 @@ export class Player {
   #range: Range | null = null;
   #shown: HTMLCanvasElement | null = null;
   #fetching = false;
+  /** Tiles of a picture, and milliseconds that the last frame took. */
+  #most = tilesOfEach(1);
+  #frameMs = 0;
 
   constructor(
     private readonly shown: LevelMap,
@@ -84,6 +87,7 @@ export class Player {
     this.#ending = ending;
     this.news.playing(true);
     const steps = stepsOf(day);
+    this.#most = tilesOfEach(steps.length);
     let wrong = '';
     let at = Math.max(0, steps.findIndex((minutes) => minutes >= this.store.state.minutes));
     try {
@@ -172,7 +176,7 @@ export class Player {
     const { map } = this.shown;
     const [seen, level] = [map.getBounds(), this.level()];
     const range = rangeOver(
-      [seen.getWest(), seen.getSouth(), seen.getEast(), seen.getNorth()], level.bounds, this.shown.tileZoom(level), level.minzoom,
+      [seen.getWest(), seen.getSouth(), seen.getEast(), seen.getNorth()], level.bounds, this.shown.tileZoom(level), level.minzoom, this.#most,
     );
     // Nothing of the level is seen: what was seen last goes on.
     return range ?? this.#range ?? (rangeOver(level.bounds, level.bounds, level.minzoom, level.minzoom) as Range);
@@ -219,7 +223,9 @@ export class Player {
     const begin = performance.now();
     const takes = this.still ? CALM_STEP_MS : STEP_MS;
     for (let part = 0; part < 1 && !signal.aborted;) {
-      part = Math.min(1, (performance.now() - begin) / takes);
+      // As it is when the frame is seen: where frames take as long as a step, one shows it whole.
+      const drawn = performance.now();
+      part = Math.min(1, (drawn - begin + this.#frameMs) / takes);
       const share = hard || this.still || !from ? 1 : part;
       pen.globalCompositeOperation = 'copy';
       pen.globalAlpha = share;
@@ -232,6 +238,7 @@ export class Player {
       }
       this.#show();
       await frame();
+      this.#frameMs = performance.now() - drawn;
     }
     this.#shown = picture;
   }
