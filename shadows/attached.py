@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import FOREST
 from terrain.gbuffer.shared_points import GRAZING, facing_normals
@@ -29,25 +29,30 @@ def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarr
         return turned_away(normal, leaves, np.array(source[:3]))
     lamp = scene.lamps[light]
     position, axis, _ = lamp.in_frame(buffer.frame)
-    return _beside_lamp(buffer.position_frame_m, normal, leaves, position, axis, float(np.cos(np.radians(lamp.cutoff_deg))))
+    cosine, out = float(np.cos(np.radians(lamp.cutoff_deg))), np.ones(buffer.there.shape, np.bool_)
+    in_shares(len(out), _beside_lamp, buffer.position_frame_m, normal, leaves, position, axis, cosine, out)
+    return out
 
 
-@compiled
-def turned_away(normal, leaves, to_light):
-    """Where unit normals (rows, cols, 3) do not face a direction (3,); True where a normal is NaN."""
-    out = np.empty(normal.shape[:2], np.bool_)
-    for i in range(normal.shape[0]):
-        for j in range(normal.shape[1]):
-            n = normal[i, j]
-            facing = n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2]
-            out[i, j] = not (abs(facing) if leaves[i, j] else facing) > GRAZING
+def turned_away(normal: np.ndarray, leaves: np.ndarray, to_light: np.ndarray) -> np.ndarray:
+    """Where unit normals (rows, cols, 3) do not face a direction (3,): bool (rows, cols); True where a normal is NaN."""
+    out = np.empty(leaves.shape, np.bool_)
+    in_shares(len(out), _turned_away, normal, leaves, to_light, out)
     return out
 
 
 @compiled
-def _beside_lamp(point, normal, leaves, position, axis, cosine):
-    out = np.ones(normal.shape[:2], np.bool_)
-    for i in range(normal.shape[0]):
+def _turned_away(first, last, normal, leaves, to_light, out):
+    for i in range(first, last):
+        for j in range(normal.shape[1]):
+            n = normal[i, j]
+            facing = n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2]
+            out[i, j] = not (abs(facing) if leaves[i, j] else facing) > GRAZING
+
+
+@compiled
+def _beside_lamp(first, last, point, normal, leaves, position, axis, cosine, out):
+    for i in range(first, last):
         for j in range(normal.shape[1]):
             x, y, z = position[0] - point[i, j, 0], position[1] - point[i, j, 1], position[2] - point[i, j, 2]
             facing = normal[i, j, 0] * x + normal[i, j, 1] * y + normal[i, j, 2] * z
@@ -55,4 +60,3 @@ def _beside_lamp(point, normal, leaves, position, axis, cosine):
             length = np.sqrt(x * x + y * y + z * z)
             inside = along >= cosine * length
             out[i, j] = not ((abs(facing) if leaves[i, j] else facing) > GRAZING * length and inside)
-    return out

@@ -32,7 +32,7 @@ class PassRecord:
     """One executed pass: its name, wall-clock milliseconds, draw calls, triangles, texels of shadow maps, the bytes of textures
     and buffers it held at a time, how many maps or volumes it found as they were made before, silhouette edges, marked pixels
     and tiles that hold one, of how many points of the light it is the mean, and what else there is to say of it; labels of the
-    programs that it drew with, in the order of their first use, and the textures that these can read, by the alphabet
+    programs that it drew with or ran, in the order of their first use, and the textures that these can read, by the alphabet
     (``terrain.gl.programs``).
 
     ``parts`` are the blocks, or parts of them, that the plan had it for, ``left_out`` those of them that provably need none of its
@@ -55,6 +55,10 @@ class PassRecord:
     left_out: int = 0
     programs: tuple[str, ...] = ()
     textures: tuple[str, ...] = ()
+
+    def looked_up_by(self, loop: str, taps: int) -> None:
+        """Put it on record, as of a program, that a loop on the processor looked points up by so many taps a side."""
+        self.programs = tuple(dict.fromkeys([*self.programs, f"{loop} taps={taps}"]))
 
     @property
     def did_nothing(self) -> bool:

@@ -13,6 +13,7 @@ from shadows.passes import ATTACHED_PASS, PassLog
 from shadows.plan import Plan, Step
 from shadows.registry import ALGORITHMS
 from terrain.casters.reach import Casters
+from terrain.compiled import compiled, in_shares
 from terrain.effects.haze import hides_beyond_m
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.smooth_ground import on_smooth_ground
@@ -70,8 +71,18 @@ def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effe
     limit_m = hides_beyond_m(scene, buffer.view)
     if np.isinf(limit_m):
         return buffer
-    away_m = np.linalg.norm(buffer.position_frame_m - buffer.view.in_frame(buffer.frame)[0], axis=-1)
-    return replace(buffer, there=buffer.there & (away_m < limit_m))
+    near = np.empty(buffer.there.shape, np.bool_)
+    in_shares(len(near), _nearer, buffer.there, buffer.position_frame_m, buffer.view.in_frame(buffer.frame)[0], limit_m, near)
+    return buffer if np.array_equal(near, buffer.there) else replace(buffer, there=near)
+
+
+@compiled
+def _nearer(first, last, there, position, eye, limit_m, out):
+    for i in range(first, last):
+        for j in range(there.shape[1]):
+            p = position[i, j]
+            x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
+            out[i, j] = there[i, j] and np.sqrt(x * x + y * y + z * z) < limit_m
 
 
 def with_apparent_sun(scene: Scene, effects: Collection[str]) -> Scene:

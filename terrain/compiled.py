@@ -1,9 +1,11 @@
-"""Compiled loops: numba with its cache where one can be written, else without."""
+"""Compiled loops: numba with its cache where one can be written, else without; and rows of a picture shared out to all cores."""
 
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, ParamSpec, TypeVar
 
@@ -15,6 +17,16 @@ R = TypeVar("R")
 
 NOT_KEPT = "compiled loops cannot be kept, so every process compiles them anew, which takes minutes"
 REMEDY = "NUMBA_CACHE_DIR names a folder for them"
+
+CORES = (
+    int(os.environ.get("NUMBA_NUM_THREADS", "0"))
+    or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
+    or 1
+)
+"""Threads of a process that its loops are shared out to."""
+
+SHARES = 3
+"""Shares of the rows for each of them: some rows take longer than others."""
 
 log = logging.getLogger("skugga")
 
@@ -67,6 +79,27 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
         _survive_renames(cache)
         _survive_full_disks(cache)
     return loop
+
+
+def in_shares(rows: int, loop: Callable[..., Any], *args: Any) -> None:
+    """Call ``loop(first, last, *args)`` for shares of some rows, on all cores: a compiled loop holds no lock while it runs."""
+    if CORES == 1 or rows < 2 * CORES:
+        loop(0, rows, *args)
+        return
+    ends = [rows * n // (SHARES * CORES) for n in range(SHARES * CORES + 1)]
+    shares = [(first, last) for first, last in zip(ends, ends[1:], strict=False) if last > first]
+    for share in [_threads().submit(loop, first, last, *args) for first, last in shares]:
+        share.result()
+
+
+_pool: list[ThreadPoolExecutor] = []
+os.register_at_fork(after_in_child=_pool.clear)  # a forked process has none of its parent's threads
+
+
+def _threads() -> ThreadPoolExecutor:
+    if not _pool:
+        _pool.append(ThreadPoolExecutor(CORES, "skugga-rows"))
+    return _pool[0]
 
 
 def _survive_full_disks(cache: Any) -> None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.gbuffer.bare_ground import BareGround
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import FOREST, RELIEF
@@ -160,10 +160,12 @@ def shade(
     """
     if albedo is None:
         albedo = buffer.albedo if scene.loaded.level.water is None else albedo_of(buffer, scene)
-    return _shade(
-        buffer.shown, look_of(scene, buffer.view), light_here(scene, buffer.frame), scene.world.up_from(buffer.frame), LEAF_GLOW,
-        albedo, sunlight, skylight, lamplight,
+    out = np.zeros((*buffer.there.shape, 3), np.float32)
+    in_shares(
+        len(out), _shade, buffer.shown, look_of(scene, buffer.view), light_here(scene, buffer.frame),
+        scene.world.up_from(buffer.frame), LEAF_GLOW, albedo, sunlight, skylight, lamplight, out,
     )  # fmt: skip
+    return out
 
 
 def light_here(scene: Scene, frame: LocalFrame) -> LightHere:
@@ -190,19 +192,20 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
 
 def open_sky(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Share of the sky (rows, cols) float32 that a slope leaves by itself: half of it upright, all of it lying flat."""
-    return _open_sky(buffer.there, buffer.shading_normal_frame, buffer.position_frame_m, scene.world.up_from(buffer.frame))
+    out = np.zeros(buffer.there.shape, np.float32)
+    centre = scene.world.up_from(buffer.frame)
+    in_shares(len(out), _open_sky, buffer.there, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
+    return out
 
 
 @compiled
-def _open_sky(there, normal, position, centre):
-    out = np.zeros(there.shape, np.float32)
-    for i in range(there.shape[0]):
+def _open_sky(first, last, there, normal, position, centre, out):
+    for i in range(first, last):
         for j in range(there.shape[1]):
             if there[i, j]:
                 n, p = normal[i, j], position[i, j]
                 x, y, z = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
                 out[i, j] = 0.5 + 0.5 * (n[0] * x + n[1] * y + n[2] * z) / np.sqrt(x * x + y * y + z * z)
-    return out
 
 
 def night_of(scene: Scene) -> float:
@@ -212,7 +215,8 @@ def night_of(scene: Scene) -> float:
 
 def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Linear albedo (rows, cols, 3) float32 of a buffer's points, the ground's tint and water included: a new array."""
-    albedo = _albedo(buffer.there, buffer.height_m, buffer.albedo, look_of(scene, buffer.view).tint)
+    albedo = np.zeros((*buffer.there.shape, 3), np.float32)
+    in_shares(len(albedo), _albedo, buffer.there, buffer.height_m, buffer.albedo, look_of(scene, buffer.view).tint, albedo)
     if scene.loaded.level.water is not None:
         water = water_in(buffer, scene)
         albedo[water if buffer.albedo is None else water & np.isnan(buffer.albedo[..., 0])] = scene.style.water
@@ -226,7 +230,16 @@ def water_in(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
 
 def srgb_encoded(linear: np.ndarray) -> np.ndarray:
     """sRGB as uint8 of linear display colour in [0, 1]."""
-    return _srgb_table()[np.minimum((linear * _SRGB_STEPS).astype(np.int32), _SRGB_STEPS - 1)]
+    out = np.empty(linear.shape, np.uint8)
+    flat = np.ascontiguousarray(linear).reshape(-1)
+    in_shares(flat.size, _encode, flat, _srgb_table(), out.reshape(-1))
+    return out
+
+
+@compiled
+def _encode(first, last, linear, table, out):
+    for n in range(first, last):
+        out[n] = table[min(np.int32(linear[n] * table.size), table.size - 1)]
 
 
 def exposure_of(altitude_deg: float | None) -> float:
@@ -308,16 +321,14 @@ def _direct_at(sine):
 
 
 @compiled
-def _shade(shown, look, light_here, centre, glow, albedo, sunlight, skylight, lamplight):
+def _shade(first, last, shown, look, light_here, centre, glow, albedo, sunlight, skylight, lamplight, out):
     # What is None is decided when this is compiled: each variant holds the code of what it is given alone.
     there, kind, position, height, normal = shown
     tint, greying, towards, terminator, exaggeration, limit, veils, foliage = look
     has_sun, to_sun, sun, sky, night = light_here
     as_it_is = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
-    rows, cols = there.shape
-    out = np.zeros((rows, cols, 3), np.float32)
-    for i in range(rows):
-        for j in range(cols):
+    for i in range(first, last):
+        for j in range(there.shape[1]):
             if not there[i, j]:
                 continue
             n, p = normal[i, j], position[i, j]
@@ -354,7 +365,6 @@ def _shade(shown, look, light_here, centre, glow, albedo, sunlight, skylight, la
                     light += own[k] * lamplight[i, j, k]
                 light = shoulder(light)
                 out[i, j, k] = light + veil * (AIR[k] * sky_here - light)
-    return out
 
 
 @compiled
@@ -504,11 +514,9 @@ def _look_up_srgb(there, step, table, out):
 
 
 @compiled
-def _albedo(there, height, albedo, tint):
-    rows, cols = there.shape
-    out = np.zeros((rows, cols, 3), np.float32)
-    for i in range(rows):
-        for j in range(cols):
+def _albedo(first, last, there, height, albedo, tint, out):
+    for i in range(first, last):
+        for j in range(there.shape[1]):
             if not there[i, j]:
                 continue
             at, beyond = _place(height[i, j])
@@ -517,4 +525,3 @@ def _albedo(there, height, albedo, tint):
                 if np.isfinite(albedo[i, j, 0]):
                     for k in range(3):
                         out[i, j, k] = albedo[i, j, k]
-    return out

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
 from terrain.shading import dusk_of
@@ -120,7 +120,9 @@ def sky(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray)
     level = np.zeros(3) if scene.sun is None else sunward(scene.sun.to_sun_earth, up)
     pixels = np.array([view.col0, view.row0, view.step])
     axes = view.earth_from_camera.T
-    return _sky(rows, cols, pixels, view.focal_px, axes @ up, axes @ level, sky_of(scene))
+    out = np.empty((rows.size, 3), np.float32)
+    in_shares(rows.size, _sky, rows, cols, pixels, view.focal_px, axes @ up, axes @ level, sky_of(scene), out)
+    return out
 
 
 @compiled
@@ -153,10 +155,9 @@ def gradient_noise(x, y):
 
 
 @compiled
-def _sky(rows, cols, pixels, focal, up, level, sky):
-    out = np.empty((rows.size, 3), np.float32)
+def _sky(first, last, rows, cols, pixels, focal, up, level, sky, out):
     color = np.empty(3)
-    for n in range(rows.size):
+    for n in range(first, last):
         px, py = pixels[0] + cols[n] * pixels[2], pixels[1] + rows[n] * pixels[2]
         x, y = px / focal, py / focal
         length = np.sqrt(1.0 + x * x + y * y)
@@ -168,7 +169,6 @@ def _sky(rows, cols, pixels, focal, up, level, sky):
             # sRGB is about the root of linear light: a step of 255 is twice that root over 255.
             moved = color[k] + gradient_noise(px + 37.0 * k, py + 17.0 * k) * 2.1 / 255.0 * np.sqrt(color[k])
             out[n, k] = min(max(moved, 0.0), 1.0)
-    return out
 
 
 def _sunlight_color(altitude_deg: float) -> np.ndarray:

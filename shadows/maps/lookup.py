@@ -9,6 +9,7 @@ import numpy as np
 from moderngl import Framebuffer, Program, Texture, Uniform
 
 from shadows.maps.drawing import MapSettings
+from shadows.maps.point_lookup import Comparison, LitPoints, look_points_up, sun_map
 from shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, DISC_TAPS, WIDEST_TEXELS, samples_before_edges
 from shadows.maps.windows import DepthMap
 from shadows.passes import PassRecord
@@ -36,6 +37,9 @@ MAP_UNIT = 5
 
 LEAST_UNIT = 6
 """Texture unit of the least depths of its blocks."""
+
+POINT_LOOKUP = "shadows/maps/point_lookup"
+"""What the loop over a perspective view's points is called on record."""
 
 
 def look_up(
@@ -83,11 +87,20 @@ def look_up(
             visibility[facets.blocked] = 0.0  # a map need not tell what lies nearer than its texels
             return
         assert corners is not None and drawn.pixels is not None
-        flat = [a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)]
         pixel_count = visibility.size if buffer.samples_from is None else buffer.samples_from * visibility.shape[1]
         split = int(np.searchsorted(drawn.pixels, pixel_count))
         sample_filter = "sun" if settings.filter == "sun" else 1  # samples are averaged as it is
-        for part, filter in ((drawn.pixels[:split], settings.filter), (drawn.pixels[split:], sample_filter)):
+        parts = (drawn.pixels[:split], settings.filter), (drawn.pixels[split:], sample_filter)
+        flat = [a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)]
+        if settings.filter != "sun" and not drawn.uniforms["lamp"] and drawn.is_uniform:
+            depths = gl.read(target, -1)
+            record.bytes = max(record.bytes, drawn.nbytes + depths.nbytes)
+            sun, points = sun_map(drawn, depths), LitPoints(*flat[:2], flat[2][:, 0], flat[3])
+            for part, filter in parts:
+                look_points_up(sun, _comparison(settings, int(filter)), points, part, visibility.reshape(-1))
+                record.looked_up_by(POINT_LOOKUP, int(filter))
+            return
+        for part, filter in parts:
             for start in range(0, len(part), LOOK_COLS * LOOK_ROWS):
                 chosen = part[start : start + LOOK_COLS * LOOK_ROWS]
                 program = _program(gl, drawn, settings, filter, {"on_nodes": False, "has_corners": True})
@@ -99,14 +112,20 @@ def look_up(
                 visibility.ravel()[chosen] = _drawn_pixels(gl, program, arrays, target, drawn, record).ravel()[: len(chosen)]
 
 
+def _comparison(settings: MapSettings, taps: int) -> Comparison:
+    by_triangles = settings.bias == "receiver_plane"
+    # Beside known triangles there are fewer taps: a point moved far clear of its own misses what touches it.
+    beside = min(taps, 2) if by_triangles else taps
+    return Comparison(by_triangles, settings.bias != "polygon_offset", np.float32(settings.bias_scale), taps, beside)
+
+
 def _program(gl: Device, drawn: DepthMap, settings: MapSettings, filter: int | str, known: dict[str, bool]) -> Program:
     """The program that looks a map up, all set but for the points; ``known`` says which triangles are."""
     disc, taps = filter == "sun", DISC_TAPS if filter == "sun" else int(filter)
+    by = _comparison(settings, taps)
     constants = known | {
-        "lamp": drawn.uniforms["lamp"], "faces": len(drawn.faces), "by_triangles": settings.bias == "receiver_plane",
-        "by_offset": settings.bias != "polygon_offset", "taps": taps, "lit_by_taps": not disc,
-        # Beside known triangles there are fewer: a point moved far clear of its own misses what touches it.
-        "taps_beside": min(taps, 2) if settings.bias == "receiver_plane" else taps,
+        "lamp": drawn.uniforms["lamp"], "faces": len(drawn.faces), "by_triangles": by.by_triangles, "by_offset": by.by_offset,
+        "taps": taps, "lit_by_taps": not disc, "taps_beside": by.taps_beside,
     }  # fmt: skip
     fragment = shader(drawn.shaders[1], "shadows/maps/sun_disc.frag" if disc else "shadows/maps/shadow_map.frag")
     program = gl.program(shader("shadows/pixels.vert"), fragment, constants)

@@ -59,6 +59,11 @@ class DepthMap:
     shaders: tuple[str, str] = ("shadows/maps/light", "shadows/maps/receiver")
 
     @property
+    def is_uniform(self) -> bool:
+        """Whether its texels are all of one size in the light's own space, rather than in the picture's."""
+        return self.shaders == DepthMap.shaders
+
+    @property
     def texels(self) -> int:
         return self.size[0] * self.size[1] * len(self.faces)
 

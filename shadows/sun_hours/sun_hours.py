@@ -37,8 +37,9 @@ from shadows.sun_hours.spells import (
 from shadows.sun_hours.steps import UPRIGHT, step_for
 from shadows.sun_hours.suns import SunSpan, WindowSun, lattice_of, sun_spans
 from shadows.sweep.grid import GridOrientation
-from shadows.sweep.sweep import CORES, clearance_of_nodes
+from shadows.sweep.sweep import clearance_of_nodes
 from terrain.casters.reach import Patch, casters_in_sun
+from terrain.compiled import CORES
 from terrain.errors import InputError
 from terrain.gbuffer.bare_nodes import BareNodes, bare_nodes
 from terrain.gbuffer.covered_nodes import is_bare

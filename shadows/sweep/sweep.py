@@ -23,7 +23,6 @@ ground take their level from the very triangles that cast. In perspective these 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -38,6 +37,7 @@ from shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_o
 from shadows.sweep.settings import SweepSettings, resolve_sweep
 from shadows.work import Work, Workload, is_decimated
 from terrain.casters.reach import Casters, Patch, Receivers
+from terrain.compiled import CORES
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.bare_nodes import BareNodes
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -58,12 +58,6 @@ STRIPS = 16
 
 LEAST_LINES = 2
 """Lines to a column of nodes that are averaged, at least: a pixel as a whole has as many lines as it would have by itself."""
-
-CORES = (
-    int(os.environ.get("NUMBA_NUM_THREADS", "0"))
-    or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
-    or 1
-)
 
 
 def fill(

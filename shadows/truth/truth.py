@@ -336,7 +336,8 @@ def _lifted(
 ) -> np.ndarray:
     """Those of a buffer's points that are ``facing`` a light, lifted off their triangles to the side that it comes from."""
     side = np.where((normals.normal_frame[facing] * to_light).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
-    return buffer.position_frame_m[facing] + offset_m * side * normals.lift_frame[facing]
+    lift = buffer.normal_frame if normals.lift_frame is None else normals.lift_frame
+    return buffer.position_frame_m[facing] + offset_m * side * lift[facing]
 
 
 def sub_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> list[MapView | PerspectiveView]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
@@ -105,8 +105,8 @@ def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
     if isinstance(view, MapView) or scene.loaded.level.terrain.imagery is not None:
         return
     low, high = scene.height_range_m
-    _vary(
-        albedo, buffer.shown, scene.world.anchor_from_frame(buffer.frame), scene.elevation.water_m + SHORE_M,
+    in_shares(
+        len(albedo), _vary, albedo, buffer.shown, scene.world.anchor_from_frame(buffer.frame), scene.elevation.water_m + SHORE_M,
         view.in_frame(buffer.frame)[0], view.pixel, 1.0 if high > low else PAVED, _WAVES, np.array(HUE),
     )  # fmt: skip
 
@@ -118,10 +118,10 @@ def _shown(wave_m, pixel_m):
 
 
 @compiled
-def _vary(albedo, shown, anchor_from_frame, water_m, eye, pixel, share, waves, hue):
+def _vary(first, last, albedo, shown, anchor_from_frame, water_m, eye, pixel, share, waves, hue):
     there, kind, position, height, normal = shown
     rotation, origin = anchor_from_frame
-    for i in range(there.shape[0]):
+    for i in range(first, last):
         for j in range(there.shape[1]):
             if not there[i, j] or kind[i, j] != RELIEF or height[i, j] <= water_m:
                 continue

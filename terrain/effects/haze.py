@@ -32,7 +32,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.effects.effect import Effect, ShadingBlock, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
@@ -237,22 +237,14 @@ def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
     up = eye - scene.world.up_from(frame)
     up /= np.linalg.norm(up)
     level = np.zeros(3) if scene.sun is None else sunward(scene.sun.in_frame(frame), up)
-    _veil(
-        color,
-        block.buffer.there,
-        block.buffer.position_frame_m,
-        eye,
-        extinctions(visibility_of(scene, view)),
-        up,
-        level,
-        sky_of(scene),
-    )
+    buffer, air = block.buffer, extinctions(visibility_of(scene, view))
+    in_shares(len(color), _veil, color, buffer.there, buffer.position_frame_m, eye, air, up, level, sky_of(scene))
 
 
 @compiled
-def _veil(color, there, position, eye, extinction, up, level, sky):
+def _veil(first, last, color, there, position, eye, extinction, up, level, sky):
     horizon = np.empty(3)
-    for i in range(there.shape[0]):
+    for i in range(first, last):
         for j in range(there.shape[1]):
             if not there[i, j]:
                 continue

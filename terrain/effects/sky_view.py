@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
@@ -138,14 +138,14 @@ def apply_sky_view(skylight: np.ndarray, block: ShadingBlock) -> None:
     baked = sky_view(scene.elevation, scene.world)
     eye, tangent, width_m = pixel_size(block)
     nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
-    _hide(skylight, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m, width_m / baked.node_m)
+    in_shares(len(skylight), _hide, skylight, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m, width_m / baked.node_m)
 
 
 @compiled
-def _hide(out, nodes, position, values, table, eye, tangent, width):
+def _hide(first, last, out, nodes, position, values, table, eye, tangent, width):
     """``tangent`` and ``width`` are a pixel's width at the distance 1, and at any distance, in nodes."""
     level = pyramid_level(table, width)
-    for i in range(out.shape[0]):
+    for i in range(first, last):
         for j in range(out.shape[1]):
             row, col = nodes[i, j, 0], nodes[i, j, 1]
             if not (np.isfinite(row) and np.isfinite(col)):

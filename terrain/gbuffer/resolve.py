@@ -6,18 +6,13 @@ triangle's plan. Barycentric coordinates are held inside the triangle, since ras
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.gbuffer.lift import is_smooth, lift_to
 from terrain.gbuffer.tree_instances import tree_corner
-
-THREADS = min(os.cpu_count() or 1, 8)
-"""Threads that share the pixels of a perspective view."""
 
 CROWN_MIDDLE, CROWN_HALF = 0.55, 0.47
 """Height of a crown's middle, and half the crown's height, as shares of a tree's."""
@@ -134,13 +129,7 @@ def resolve_perspective(
         np.zeros(size, np.uint8), np.full((*size, 3), np.nan, np.float32), np.zeros((*size, 9), np.float32),
         np.full((*size, 2) if len(ground.cells) else (0, 0, 2), np.nan, np.float32), np.zeros(size, np.float32),
     )  # fmt: skip
-    parts = np.linspace(0, size[0], THREADS + 1).astype(int)
-
-    def some(first: int, last: int) -> None:
-        _resolve(first, last, number, camera, ground, solids, trees, albedo_root, points)
-
-    with ThreadPoolExecutor(THREADS) as pool:  # the loop holds no lock
-        list(pool.map(some, parts[:-1], parts[1:]))
+    in_shares(size[0], _resolve, number, camera, ground, solids, trees, albedo_root, points)
     return points
 
 

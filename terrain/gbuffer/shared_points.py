@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.lift import up_at
 from terrain.gbuffer.map_points import ON_EDGE, crease_at, facet_corners, facets_at
@@ -53,7 +53,7 @@ class FacingNormals(NamedTuple):
         float32 (rows, cols), as a ``GeometryBuffer`` has it, from that normal.
     lift_frame
         float32 (rows, cols, 3): what takes a point off its facets, all of them, by one metre or a little more. From a point of one
-        facet that is the normal. From a shared point the normal of one facet may lead under another: it goes up. Where light comes
+        facet that is the buffer's normal, and ``None`` where all points are such. From a shared point the normal of one facet may lead under another: it goes up. Where light comes
         along the rim of the ground it goes inwards, too: a ray along the rim meets it.
     blocked
         bool (rows, cols): whether a shared point's way to the light goes at once below one of its own facets, which faces away.
@@ -63,25 +63,43 @@ class FacingNormals(NamedTuple):
 
     normal_frame: np.ndarray
     crease: np.ndarray
-    lift_frame: np.ndarray
+    lift_frame: np.ndarray | None
     blocked: np.ndarray
     lifted: np.ndarray
 
 
-@cached("light", 512 * MIB)
+def _from_afar(buffer: GeometryBuffer, light: LightPosition) -> bool:
+    """Whether a light comes from one direction to triangles of a perspective view: then it is all one where on them points lie, or
+    have been put, and which of them are looked at.
+    """
+    return buffer.surface is None and light.w == 0.0
+
+
+def _made_from(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ...]:
+    if not _from_afar(buffer, light):
+        return buffer, light
+    return buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.kind, buffer.lift_m, light
+
+
+@cached("light", 512 * MIB, key=_made_from)
 def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
-    """Which normals a light goes by. The last ones are kept."""
-    normal, nowhere = buffer.normal_frame.copy(), np.zeros(buffer.there.shape, bool)
-    facing = FacingNormals(normal, buffer.crease.copy(), normal.copy(), nowhere, nowhere.copy())
-    view, surface, ground = buffer.view, buffer.surface, buffer.there & (buffer.kind == RELIEF)
+    """Which normals a light goes by; off the surface they mean nothing. The last ones are kept."""
+    nowhere = np.zeros(buffer.there.shape, bool)
+    facing = FacingNormals(buffer.normal_frame.copy(), buffer.crease.copy(), None, nowhere, nowhere.copy())
+    view, surface, ground = buffer.view, buffer.surface, buffer.kind == RELIEF
+    if not _from_afar(buffer, light):
+        ground &= buffer.there
     if surface is not None and isinstance(view, MapView):
+        facing = facing._replace(lift_frame=buffer.normal_frame.copy())
         row = view.row0 - surface.row0 + np.arange(view.rows) * view.row_step
         col = view.col0 - surface.col0 + np.arange(view.cols) * view.col_step
         sheet, points = surface.sheet, buffer.position_frame_m
         nodes, centre = sheet.position_frame_m, surface.centre_frame_m
         _turn_to(nodes, sheet.normals_frame, sheet.falls, centre, row, col, ground, points, light, facing)
     if buffer.lift_m is not None:
-        _go_by_smooth(ground, buffer.shading_normal_frame, buffer.lift_m, buffer.position_frame_m, light, facing)
+        in_shares(
+            len(ground), _go_by_smooth, ground, buffer.shading_normal_frame, buffer.lift_m, buffer.position_frame_m, light, facing
+        )  # fmt: skip
     return facing
 
 
@@ -122,10 +140,10 @@ def _turn_to(nodes, faces, falls, centre, row, col, ground, position, light, fac
 
 
 @compiled
-def _go_by_smooth(ground, smooth, lift, position, light, facing):
+def _go_by_smooth(first, last, ground, smooth, lift, position, light, facing):
     """Put in what holds for the smooth ground: its normal where it does not face a light, or it alone does from above the facet."""
     normal, crease, _, blocked, lifted = facing
-    for i in range(ground.shape[0]):
+    for i in range(first, last):
         for j in range(ground.shape[1]):
             if not ground[i, j] or np.isnan(lift[i, j]):
                 continue

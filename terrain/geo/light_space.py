@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.geo.sun import Sun, direction_enu
 from terrain.geo.world import LocalFrame, World
 
@@ -55,16 +55,18 @@ def light_bounds(
 
     (inf, -inf) where none is.
     """
-    bounds = _bounds(position_frame_m, there, rotation, translation)
-    return bounds[0], bounds[1]
+    ends = np.empty((len(there), 2, 3))
+    in_shares(len(there), _bounds, position_frame_m, there, rotation, translation, ends)
+    return ends[:, 0].min(axis=0, initial=np.inf), ends[:, 1].max(axis=0, initial=-np.inf)
 
 
 @compiled
-def _bounds(position, there, rotation, translation):
-    out = np.empty((2, 3))
-    out[0] = np.inf
-    out[1] = -np.inf
-    for i in range(position.shape[0]):
+def _bounds(first, last, position, there, rotation, translation, ends):
+    """Of each row."""
+    for i in range(first, last):
+        out = ends[i]
+        out[0] = np.inf
+        out[1] = -np.inf
         for j in range(position.shape[1]):
             if not there[i, j]:
                 continue
@@ -75,4 +77,3 @@ def _bounds(position, there, rotation, translation):
                     out[0, k] = v
                 if v > out[1, k]:
                     out[1, k] = v
-    return out

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
 
@@ -272,9 +272,10 @@ def _cells_at(
 def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
     """Rows and columns (..., 2) float64 in the grid ``hidden`` of the ground below frame points (..., 3) with heights (...)."""
     finder = view.finder
-    cells = _cells(
-        position_frame_m.reshape(-1, 3), height_m.reshape(-1), frame.frame_from_earth, frame.origin_earth_m, finder.plane,
-        finder.axes, finder.first, finder.step, finder.cells,
+    cells = np.empty((height_m.size, 2))
+    in_shares(
+        len(cells), _cells, position_frame_m.reshape(-1, 3), height_m.reshape(-1), frame.frame_from_earth, frame.origin_earth_m,
+        finder.plane, finder.axes, finder.first, finder.step, finder.cells, cells,
     )  # fmt: skip
     cells += 0.5
     cells /= 2**view.level
@@ -283,21 +284,19 @@ def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarra
 
 
 @compiled
-def _cells(position, height, frame_from_earth, origin, plane, axes, first, step, lattice):
-    """Rows and columns (n, 2) in the raster.
+def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, first, step, lattice, out):
+    """Rows and columns in the raster of the points ``begin`` to ``end``.
 
     Latitude by EPSG Guidance Note 7-2, section 4.1.1, with the equator's radius for the prime vertical's in the height's part.
     """
     m = frame_from_earth
-    out = np.empty((len(position), 2))
-    for n in range(len(position)):
+    for n in range(begin, end):
         px, py, pz = position[n, 0], position[n, 1], position[n, 2]
         x = m[0, 0] * px + m[1, 0] * py + m[2, 0] * pz + origin[0]
         y = m[0, 1] * px + m[1, 1] * py + m[2, 1] * pz + origin[1]
         z = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz + origin[2]
         x, y = in_plane(x, y, z, height[n], plane, axes, first, step)
         out[n, 0], out[n, 1] = cell_in_plane(x, y, first, step, lattice)
-    return out
 
 
 @compiled
