@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from contextlib import nullcontext
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
 from moderngl import Framebuffer
 
 from shadows.maps.settings import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from shadows.maps.trees_that_matter import trees_that_matter
 from shadows.maps.windows import DepthMap
 from shadows.passes import PassRecord
 from terrain.cache import IdentityKey
-from terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_casters, trees_in_the_way
+from terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_casters
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import set_uniforms, shader
@@ -45,8 +47,9 @@ def draw_map(
     Its content lasts until the next map is drawn.
     """
     meshes = caster_meshes(scene, buffer, kinds)
+    trees = _trees_drawn(drawn, buffer, settings.filter == "sun")
     # A block's sheets are made anew for every picture of it, and the pictures are kept instead.
-    content = None if isinstance(buffer.view, MapView) else _content(drawn, settings, meshes)
+    content = None if isinstance(buffer.view, MapView) else _content(drawn, settings, meshes, trees)
     kept = None if content is None else gl.depth_targets.kept(content)
     if kept is not None:
         record.kept += 1
@@ -57,7 +60,6 @@ def draw_map(
     target = gl.depth_target(width * across, height * down, drawn.depth_bits)
     solid = gl.program(shader(drawn.shaders[0], "shadows/maps/depth.vert"), shader("shadows/maps/depth.frag"))
     set_uniforms(solid, drawn.uniforms)
-    trees = _trees_drawn(drawn)
     if trees is not None:
         vertex = shader(drawn.shaders[0], "terrain/gbuffer/tree", "shadows/maps/depth_tree.vert")
         leaves = gl.program(vertex, shader("shadows/maps/depth_tree.frag"))
@@ -113,18 +115,19 @@ def _is_mirrored(drawn: DepthMap) -> bool:
     return bool(np.linalg.det(np.array(drawn.uniforms["light_from_frame"]).reshape(3, 3)) > 0.0)
 
 
-def _content(drawn: DepthMap, settings: MapSettings, meshes: list[Mesh]) -> Hashable:
+def _content(drawn: DepthMap, settings: MapSettings, meshes: list[Mesh], trees: TreeInstances | None) -> Hashable:
     """All that the drawing of a map reads: numbers by value, geometry, which never changes, by being the same arrays."""
-    trees = [] if drawn.trees is None else [drawn.trees]
-    geometry = tuple(IdentityKey(part) for part in (*(array for mesh in meshes for array in mesh), *trees))
-    return settings, drawn.size, len(drawn.faces), tuple(drawn.uniforms.items()), geometry
+    all_trees = [] if drawn.trees is None else [drawn.trees]
+    geometry = tuple(IdentityKey(part) for part in (*(array for mesh in meshes for array in mesh), *all_trees))
+    some = None if trees is None or trees is drawn.trees else sha256(trees.number.tobytes()).digest()
+    return settings, drawn.size, len(drawn.faces), tuple(drawn.uniforms.items()), geometry, some
 
 
-def _trees_drawn(drawn: DepthMap) -> TreeInstances | None:
-    """The trees that reach into the bounds of what matters or lie before them, towards the sun."""
+def _trees_drawn(drawn: DepthMap, buffer: GeometryBuffer, soft: bool) -> TreeInstances | None:
+    """A map's trees, but for those that shade nothing of what is seen."""
     if drawn.trees is None or drawn.reach is None:
         return drawn.trees
-    return trees_in_the_way(drawn.trees, *drawn.reach)
+    return drawn.trees.some(trees_that_matter(drawn, buffer, soft))
 
 
 def _turned(uniforms: dict[str, Any], face: np.ndarray) -> dict[str, Any]:

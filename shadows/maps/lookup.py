@@ -95,9 +95,9 @@ def look_up(
         if settings.filter != "sun" and not drawn.uniforms["lamp"] and drawn.is_uniform:
             depths = gl.read(target, -1)
             record.bytes = max(record.bytes, drawn.nbytes + depths.nbytes)
-            sun, points = sun_map(drawn, depths), LitPoints(*flat[:2], flat[2][:, 0], flat[3])
+            points = LitPoints(flat[0], flat[1], flat[2][:, 0], flat[3])
             for part, filter in parts:
-                look_points_up(sun, _comparison(settings, int(filter)), points, part, visibility.reshape(-1))
+                look_points_up(sun_map(drawn, depths), _comparison(settings, int(filter)), points, part, visibility.reshape(-1))
                 record.looked_up_by(POINT_LOOKUP, int(filter))
             return
         for part, filter in parts:

@@ -138,7 +138,10 @@ def apply_sky_view(skylight: np.ndarray, block: ShadingBlock) -> None:
     baked = sky_view(scene.elevation, scene.world)
     eye, tangent, width_m = pixel_size(block)
     nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
-    in_shares(len(skylight), _hide, skylight, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m, width_m / baked.node_m)
+    in_shares(
+        len(skylight), _hide, skylight, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m,
+        width_m / baked.node_m,
+    )  # fmt: skip
 
 
 @compiled

@@ -78,6 +78,7 @@ def rasterise_perspective(
         if instances is not None:
             ends = np.array([[first[k] - 0.5 * view.step, first[k] + (size[k] - 0.5) * view.step] for k in (0, 1)])
             in_sight = instances.in_cone(eye, camera_from_frame, ends / view.focal_px)
+            in_sight = instances.nearest_first(in_sight, camera_from_frame[2])
             more = {"in_map": False, "level_bias": float(np.log2(view.pixel_share))}
             _draw_trees(gl, instances, in_sight, instances.base_frame_m, {**uniforms, **more}, drawn)
     return _read(gl, target, instances, drawn, None if instances is None else in_sight)

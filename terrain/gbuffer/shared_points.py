@@ -53,8 +53,9 @@ class FacingNormals(NamedTuple):
         float32 (rows, cols), as a ``GeometryBuffer`` has it, from that normal.
     lift_frame
         float32 (rows, cols, 3): what takes a point off its facets, all of them, by one metre or a little more. From a point of one
-        facet that is the buffer's normal, and ``None`` where all points are such. From a shared point the normal of one facet may lead under another: it goes up. Where light comes
-        along the rim of the ground it goes inwards, too: a ray along the rim meets it.
+        facet that is the buffer's normal, and ``None`` where all points are such. From a shared point the normal of one facet may
+        lead under another: it goes up. Where light comes along the rim of the ground it goes inwards, too: a ray along the rim
+        meets it.
     blocked
         bool (rows, cols): whether a shared point's way to the light goes at once below one of its own facets, which faces away.
     lifted

@@ -80,6 +80,10 @@ class TreeInstances:
         """
         return _in_cone(self.base_frame_m, self.shape, eye, rotation, tangents)
 
+    def nearest_first(self, which: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+        """The trees at some indices in their order along a direction (3,): what a rasteriser finds hidden it need not colour."""
+        return which[np.argsort(self.base_frame_m[which] @ ahead, kind="stable")]
+
     def corners(self) -> np.ndarray:
         """The quads' corners (n, 3, 4, 3) float64 in the frame: two upright ones, then the level one."""
         return tree_corners(self.base_frame_m, self.shape, self.turn, self.curvature)
@@ -163,7 +167,7 @@ def tree_corner(base, shape, turn, curvature, quad, corner):
 
 
 @compiled
-def _radius(shape):
+def tree_radius(shape):
     """Radius of a sphere round the middle of a tree's stem that holds all of its quads."""
     across = max(shape[0], 1.4143 * shape[1])
     return np.sqrt(across * across + 0.25 * shape[2] * shape[2])
@@ -174,7 +178,7 @@ def _reaching(base, shape, rotation, translation, low, high):
     out = np.empty(len(base), np.int64)
     count = 0
     for n in range(len(base)):
-        radius = _radius(shape[n])
+        radius = tree_radius(shape[n])
         inside = True
         for k in range(3):
             v = (
@@ -194,7 +198,7 @@ def _in_cone(base, shape, eye, rotation, tangents):
     count = 0
     at = np.empty(3)
     for n in range(len(base)):
-        radius = _radius(shape[n])
+        radius = tree_radius(shape[n])
         for k in range(3):
             at[k] = (
                 rotation[k, 0] * (base[n, 0] - eye[0]) + rotation[k, 1] * (base[n, 1] - eye[1])

@@ -1,0 +1,89 @@
+"""Which trees a map of the sun has to hold: those that may shade one of its receivers.
+
+Seen along the sun's rays, what a camera sees is sparse: far woods hide most of the ground between their trees. A coarse mask of the
+map says where receivers lie, and how far from the sun the farthest of them (J. Bittner, O. Mattausch, A. Silvennoinen and M. Wimmer
+2011, "Shadow Caster Culling for Efficient Shadow Mapping"). A tree beside all of them, or behind them, changes no look-up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shadows.maps.sun_disc import WIDEST_TEXELS
+from shadows.maps.windows import MAP_BORDER_TEXELS, DepthMap
+from terrain.compiled import CORES, compiled, in_shares
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.tree_instances import tree_radius
+
+MASK_CELLS = 512
+"""Cells of the mask along each side of a map."""
+
+
+def trees_that_matter(drawn: DepthMap, buffer: GeometryBuffer, soft: bool) -> np.ndarray:
+    """Indices among the trees of a map of the sun of those that it has to hold, the nearest to the sun first; ``soft`` as it is looked
+    up for the sun's disc.
+    """
+    assert drawn.trees is not None and drawn.reach is not None
+    rotation, translation, low, high = drawn.reach
+    trees = drawn.trees
+    which = trees.reaching(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
+    if drawn.pixels is not None and drawn.is_uniform and len(which):
+        texel_m = np.array(drawn.uniforms["texel_m"])
+        cells = np.maximum((high - low)[:2] / MASK_CELLS, texel_m)
+        farthest = np.full((CORES, MASK_CELLS + 1, MASK_CELLS + 1), -np.inf, np.float32)
+        parts = np.linspace(0, len(drawn.pixels), CORES + 1).astype(np.int64)
+        in_shares(
+            CORES, _farthest_receivers, parts, buffer.position_frame_m.reshape(-1, 3), drawn.pixels, rotation, translation, cells,
+            farthest,
+        )  # fmt: skip
+        beside_m = (MAP_BORDER_TEXELS + (WIDEST_TEXELS if soft else 0)) * texel_m
+        which = _shading(trees.base_frame_m, trees.shape, which, rotation, translation, cells, farthest.max(axis=0), beside_m)
+    return trees.nearest_first(which, rotation[2])
+
+
+@compiled
+def _farthest_receivers(first, last, parts, position, chosen, rotation, translation, cells, farthest):
+    """Of each share of the receivers, how far from the sun the farthest in each cell lies."""
+    rows, cols = farthest.shape[1:]
+    for share in range(first, last):
+        mask = farthest[share]
+        for n in range(parts[share], parts[share + 1]):
+            p = position[chosen[n]]
+            right = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + translation[0]
+            up = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + translation[1]
+            away = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + translation[2]
+            r, c = min(max(int(up / cells[1]), 0), rows - 1), min(max(int(right / cells[0]), 0), cols - 1)
+            mask[r, c] = max(mask[r, c], np.float32(away))
+
+
+@compiled
+def _shading(base, shape, which, rotation, translation, cells, farthest, beside_m):
+    rows, cols = farthest.shape
+    out = np.empty(len(which), np.int64)
+    count = 0
+    middle = np.empty(3)
+    for n in which:
+        radius = tree_radius(shape[n])
+        for k in range(3):
+            middle[k] = (
+                rotation[k, 0] * base[n, 0] + rotation[k, 1] * base[n, 1] + rotation[k, 2] * (base[n, 2] + 0.5 * shape[n, 2])
+                + translation[k]
+            )  # fmt: skip
+        left = max(int(np.floor((middle[0] - radius - beside_m[0]) / cells[0])), 0)
+        right = min(int(np.floor((middle[0] + radius + beside_m[0]) / cells[0])), cols - 1)
+        low = max(int(np.floor((middle[1] - radius - beside_m[1]) / cells[1])), 0)
+        high = min(int(np.floor((middle[1] + radius + beside_m[1]) / cells[1])), rows - 1)
+        # What is looked up may have been moved a few texels along the rays, too.
+        nearest = middle[2] - radius - beside_m[0] - beside_m[1]
+        matters = False
+        for r in range(low, high + 1):
+            for c in range(left, right + 1):
+                if farthest[r, c] >= nearest:
+                    matters = True
+                    break
+            if matters:
+                break
+        if matters:
+            out[count] = n
+            count += 1
+    return out[:count].copy()
