@@ -16,11 +16,13 @@ from terrain.compiled import compiled, in_shares
 
 
 class SunMap(NamedTuple):
-    """A map of the sun, as the loop takes it: depths (rows, cols) float32, rows upwards in light space; rotation (3, 3) and offset
-    (3,) of a frame's points to it, ``window_m`` deep, ``texel_m`` (2,); all float32. The rest are ``DepthMap.uniforms``.
+    """A map of the sun, as the loop takes it: depths (rows, cols) in steps, of which ``steps`` are the whole depth, uint16 or
+    float32, rows upwards in light space; rotation (3, 3) and offset (3,) of a frame's points to it, ``window_m`` deep, ``texel_m``
+    (2,); all float32. The rest are ``DepthMap.uniforms``.
     """
 
     depths: np.ndarray
+    steps: np.float32
     light_from_frame: np.ndarray
     light_offset_m: np.ndarray
     window_m: np.float32
@@ -51,11 +53,11 @@ class LitPoints(NamedTuple):
 
 
 def sun_map(drawn: DepthMap, depths: np.ndarray) -> SunMap:
-    """A map that was drawn, with its depths as they were read."""
+    """A map that was drawn, with its depths (rows, cols) as they were read: float32, or uint16 in steps."""
     given = drawn.uniforms
     single = np.float32
     return SunMap(
-        depths, np.array(given["light_from_frame"], single).reshape(3, 3).T.copy(), np.array(given["light_offset_m"], single),
+        depths, single(1.0 if depths.dtype == single else 2**16 - 1), np.array(given["light_from_frame"], single).reshape(3, 3).T.copy(), np.array(given["light_offset_m"], single),
         single(given["window_m"][2]), np.array(given["texel_m"], single), single(given["error_m"]), single(given["depth_step"]),
     )  # fmt: skip
 
@@ -131,7 +133,7 @@ def _is_empty(sun, p, count):
     rows, cols = sun.depths.shape
     for r in range(max(low, 0), min(low + count, rows)):
         for c in range(max(left, 0), min(left + count, cols)):
-            if sun.depths[r, c] < np.float32(1.0):
+            if np.float32(sun.depths[r, c]) < sun.steps:
                 return False
     return True
 
@@ -141,7 +143,7 @@ def _is_lit(sun, rounding, row, col, z):
     rows, cols = sun.depths.shape
     if row < 0 or col < 0 or row >= rows or col >= cols:
         return True
-    return min(z / sun.window_m - rounding, np.float32(1.0)) <= sun.depths[row, col]
+    return min(z / sun.window_m - rounding, np.float32(1.0)) <= np.float32(sun.depths[row, col]) / sun.steps
 
 
 @compiled

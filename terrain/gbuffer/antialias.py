@@ -122,7 +122,9 @@ def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
         for pixel_index, inside in ((row, places // SIDE), (col, places % SIDE))
     )
     finer = finer_view(view)
-    below = (finer, RasterisedView(scene, finer, frame), (fine_row, fine_col))
+    wanted = np.zeros((finer.rows, finer.cols), np.bool_)
+    wanted[fine_row, fine_col] = True
+    below = (finer, RasterisedView(scene, finer, frame, wanted=wanted), (fine_row, fine_col))
     return MultisampledBuffer(buffer_of(scene, view, visible, below), view.rows, (row, col), len(places))
 
 

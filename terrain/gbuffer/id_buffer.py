@@ -14,6 +14,7 @@ import moderngl
 import numpy as np
 
 from terrain.cache import MIB, cached
+from terrain.compiled import compiled, in_shares
 from terrain.gbuffer.ground_mesh import GroundMesh
 from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.camera import PerspectiveView
@@ -31,7 +32,7 @@ NEAR_M = 0.005
 class IdBuffer:
     """``number`` uint32 (rows, cols), 0 where nothing is; ``albedo_root`` uint8 (rows, cols, 4), the roots of linear albedo
     where a tree is seen (empty without trees); ``depth`` float32 (rows, cols), in perspective ``NEAR_M`` over the distance
-    along the view's axis.
+    along the view's axis (empty where some pixels alone were wanted).
     """
 
     number: np.ndarray
@@ -57,8 +58,11 @@ def rasterise_perspective(
     ground: GroundMesh,
     solids: tuple[np.ndarray, np.ndarray] | None,
     instances: TreeInstances | None,
+    wanted: np.ndarray | None = None,
 ) -> IdBuffer:
-    """What a camera sees of the ground, meshes (vertices in the frame, triangles) and trees."""
+    """What a camera sees of the ground, meshes (vertices in the frame, triangles) and trees: in all pixels, or in those ``wanted``
+    (rows, cols), the others of which show nothing.
+    """
     gl = device()
     eye, camera_from_frame = view.in_frame(frame)
     size = np.array([view.cols, view.rows])
@@ -71,6 +75,8 @@ def rasterise_perspective(
     }
     target = gl.visible_target(view.cols, view.rows)
     with gl.visible_pass(target):
+        if wanted is not None:  # what is nearer than all hides the rest before it costs anything
+            gl.write_depths(target, np.where(wanted, np.float32(0.0), np.float32(1.0)))
         program = _program(gl, "visible.vert", "visible.frag", uniforms)
         drawn = gl.draw_triangles(program, ground.position_frame_m, ground.triangles, 0)
         if solids is not None:
@@ -81,7 +87,7 @@ def rasterise_perspective(
             in_sight = instances.nearest_first(in_sight, camera_from_frame[2])
             more = {"in_map": False, "level_bias": float(np.log2(view.pixel_share))}
             _draw_trees(gl, instances, in_sight, instances.base_frame_m, {**uniforms, **more}, drawn)
-    return _read(gl, target, instances, drawn, None if instances is None else in_sight)
+    return _read(gl, target, instances, drawn, None if instances is None else in_sight, with_depth=wanted is None)
 
 
 def rasterise_map(
@@ -114,7 +120,7 @@ def rasterise_map(
             more = {"in_map": True, "px_from_m": tuple(px_from_m.T.ravel()), "height_m": float(high - low)}
             more |= {"level_bias": float(np.log2(view.pixel_share))}
             _draw_trees(gl, instances, chosen, (bases_px - shift) * scale, {**uniforms, **more}, drawn)
-    return _read(gl, target, instances, drawn, chosen)
+    return _read(gl, target, instances, drawn, chosen, with_depth=False)
 
 
 def _draw_trees(
@@ -145,13 +151,27 @@ def set_uniforms(program: moderngl.Program, values: dict[str, Any]) -> None:
 
 
 def _read(
-    gl: Device, target: moderngl.Framebuffer, instances: TreeInstances | None, drawn: int, chosen: np.ndarray | None
+    gl: Device,
+    target: moderngl.Framebuffer,
+    instances: TreeInstances | None,
+    drawn: int,
+    chosen: np.ndarray | None,
+    with_depth: bool,
 ) -> IdBuffer:
     number = gl.read(target, 0, "u4")
+    depth = gl.read(target, -1) if with_depth else np.zeros((0, 0), np.float32)
     if chosen is None or not len(chosen):
         none = np.zeros((*number.shape, 4), np.uint8) if instances is not None else np.zeros((0, 0, 4), np.uint8)
-        return IdBuffer(number, none, gl.read(target, -1))
-    trees = number > drawn  # numbered among the trees in sight: now among all of them
-    inside = number[trees].astype(np.int64) - drawn - 1
-    number[trees] = (chosen[inside // 6] * 6 + inside % 6 + drawn + 1).astype(np.uint32)
-    return IdBuffer(number, gl.read(target, 1, "f1", 4), gl.read(target, -1))
+        return IdBuffer(number, none, depth)
+    in_shares(len(number), _renumber, number, drawn, chosen)
+    return IdBuffer(number, gl.read(target, 1, "f1", 4), depth)
+
+
+@compiled
+def _renumber(first, last, number, drawn, chosen):
+    """Number triangles of trees among all trees, where they are numbered among the ``chosen`` ones."""
+    for i in range(first, last):
+        for j in range(number.shape[1]):
+            inside = np.int64(number[i, j]) - drawn - 1
+            if inside >= 0:
+                number[i, j] = np.uint32(chosen[inside // 6] * 6 + inside % 6 + drawn + 1)

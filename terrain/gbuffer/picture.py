@@ -105,7 +105,7 @@ class Unresolved(Protocol):
 
 
 class RasterisedView:
-    """What a camera sees of some kinds of things."""
+    """What a camera sees of some kinds of things, in all pixels or in those ``wanted`` (rows, cols)."""
 
     def __init__(
         self,
@@ -114,6 +114,7 @@ class RasterisedView:
         frame: LocalFrame,
         max_triangles: int = MAX_GROUND_TRIANGLES,
         kinds: tuple[CasterKind, ...] = get_args(CasterKind),
+        wanted: np.ndarray | None = None,
     ) -> None:
         self.frame = frame
         self.ground = ground_mesh(scene, view, max_triangles)
@@ -123,7 +124,7 @@ class RasterisedView:
         self.solids = solids_in(scene.objects, frame)
         solids = scene.objects.solids
         drawn = None if self.solids is None or solids is None else (self.solids, solids.triangles)
-        self.seen: IdBuffer = rasterise_perspective(view, frame, self.ground, drawn, self.tree_instances)
+        self.seen: IdBuffer = rasterise_perspective(view, frame, self.ground, drawn, self.tree_instances, wanted)
 
 
 PixelSelection = tuple[PerspectiveView, RasterisedView, tuple[np.ndarray, np.ndarray]]

@@ -210,6 +210,14 @@ class Device:
             self.ctx.depth_func = "<="
             self.ctx.enable_only(moderngl.NOTHING)
 
+    def write_depths(self, target: moderngl.Framebuffer, depths: np.ndarray) -> None:
+        """Put depths (rows, cols) float32 into a framebuffer of float depths; row 0 is the first texel row."""
+        self.require_current()
+        texture = target.depth_attachment
+        assert isinstance(texture, moderngl.Texture)
+        texture.write(np.ascontiguousarray(depths, np.float32), alignment=4)
+        target.use()
+
     def layers(self, levels: tuple[np.ndarray, ...]) -> moderngl.TextureArray:
         """A texture array with mipmaps of its own, sRGB colours decoded: levels (layers, s, s, 4) uint8, halved each time.
 
@@ -317,14 +325,14 @@ class Device:
     def read(self, target: moderngl.Framebuffer, attachment: int = 0, kind: str = "f4", components: int = 1) -> np.ndarray:
         """Read an attachment (-1: the depth) as (rows, cols) or (rows, cols, components); row 0 is the first texel row.
 
-        ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes. Raises ``GraphicsError`` with the wrong context, so
+        ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for steps of 16-bit depths. Raises ``GraphicsError`` with the wrong context, so
         that a mistake can never return other memory's bytes.
         """
         self.require_current()
         width, height = target.size
         shape = (height, width) if components == 1 else (height, width, components)
-        out = np.zeros(shape, {"f4": np.float32, "u4": np.uint32, "f1": np.uint8}[kind])
-        target.read_into(out, components=components, attachment=attachment, dtype=kind, alignment=4)
+        out = np.zeros(shape, {"f4": np.float32, "u4": np.uint32, "f1": np.uint8, "u2": np.uint16}[kind])
+        target.read_into(out, components=components, attachment=attachment, dtype=kind, alignment=out.itemsize)
         self.check("read")
         return out
 
