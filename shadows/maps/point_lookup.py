@@ -57,7 +57,8 @@ def sun_map(drawn: DepthMap, depths: np.ndarray) -> SunMap:
     given = drawn.uniforms
     single = np.float32
     return SunMap(
-        depths, single(1.0 if depths.dtype == single else 2**16 - 1), np.array(given["light_from_frame"], single).reshape(3, 3).T.copy(), np.array(given["light_offset_m"], single),
+        depths, single(1.0 if depths.dtype == single else 2**16 - 1),
+        np.array(given["light_from_frame"], single).reshape(3, 3).T.copy(), np.array(given["light_offset_m"], single),
         single(given["window_m"][2]), np.array(given["texel_m"], single), single(given["error_m"]), single(given["depth_step"]),
     )  # fmt: skip
 

@@ -20,8 +20,8 @@ MASK_CELLS = 512
 
 
 def trees_that_matter(drawn: DepthMap, buffer: GeometryBuffer, soft: bool) -> np.ndarray:
-    """Indices among the trees of a map of the sun of those that it has to hold, the nearest to the sun first; ``soft`` as it is looked
-    up for the sun's disc.
+    """Indices among the trees of a map of the sun of those that it has to hold, the nearest to the sun first; ``soft``: the map is
+    looked up for the sun's disc.
     """
     assert drawn.trees is not None and drawn.reach is not None
     rotation, translation, low, high = drawn.reach

@@ -21,7 +21,7 @@ from shadows.sweep.grid import (
 from shadows.sweep.lines import TurnedGrid
 from terrain.cache import MIB, cached
 from terrain.casters.reach import PATCH_QUADS, Patch
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.gbuffer.ground_mesh import GroundMesh, ground_nodes
 from terrain.geo.grid import Grid
 from terrain.geo.light_space import LightSpace
@@ -29,11 +29,14 @@ from terrain.geo.world import LocalFrame
 from terrain.ground.surface import HeightWindow, NodeHeights
 from terrain.scene import Scene
 
-FITTED_POINTS = 1024
+FITTED_POINTS = 256
 """Points whose places are computed exactly, and that the places of more are fitted to."""
 
 FITTED_NODES = 0.01
 """How far, in nodes, fitted places may lie beside the exact ones. What a ray passes is found by its t, which is never fitted."""
+
+SAME_TERM = 1e-9
+"""Share of the largest part that a term has of its own by which the fit's smallest counts as none."""
 
 LEAN = 0.05
 """Columns by which rays that run to the right at one place of a view may run to the left at another: the earth is round."""
@@ -60,9 +63,11 @@ class SunRays:
 
     def t_level_towards(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """t, levels, and metres towards the sun (n,) of points (n, 3) of a frame."""
-        rotation, translation = self.light.from_frame(frame)
-        right, up, away = _moved(point_frame_m, rotation, translation)
-        return (right - self.right_m) / self.cell_m, up - self.level_m, -away
+        out = np.empty((3, len(point_frame_m)))
+        in_shares(
+            len(point_frame_m), _in_rays, point_frame_m, *self.light.from_frame(frame), self.right_m, self.cell_m, self.level_m, out
+        )  # fmt: skip
+        return out[0], out[1], out[2]
 
     def rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns (n,) on the grid of points (n, 3) of a frame, right to ``FITTED_NODES``.
@@ -74,7 +79,7 @@ class SunRays:
         fit_points = point_frame_m[np.linspace(0, len(point_frame_m) - 1, FITTED_POINTS).astype(int)]
         exact = np.stack(self._exact_rows_and_columns(fit_points, frame), axis=1)
         middle, scale = fit_points.mean(axis=0), max(float(np.abs(fit_points - fit_points.mean(axis=0)).max()), 1.0)
-        known, _, _, _ = np.linalg.lstsq(_cubic_terms((fit_points - middle) / scale), exact, rcond=None)
+        known = _fitted(_cubic_terms((fit_points - middle) / scale), exact)
         approximate = _placed(fit_points, middle, scale, known)
         if not np.abs(np.stack(approximate, axis=1) - exact).max() <= FITTED_NODES:
             return self._exact_rows_and_columns(point_frame_m, frame)
@@ -314,11 +319,25 @@ def _cubic_terms(p: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, z, x * x, x * y, y * y, x * z, y * z, x**3, x * x * y, x * y * y, y**3], axis=1)
 
 
-@compiled
-def _placed(points, middle, scale, known):
+def _fitted(terms: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """Factors (k, 2) by which terms (n, k) come nearest to values (n, 2)."""
+    q, r = np.linalg.qr(terms)
+    diagonal = np.abs(np.diagonal(r))
+    if diagonal.min() > SAME_TERM * diagonal.max():
+        return np.linalg.solve(r, q.T @ exact)
+    return np.linalg.lstsq(terms, exact, rcond=None)[0]  # points of a plane: some terms say the same
+
+
+def _placed(points: np.ndarray, middle: np.ndarray, scale: float, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sums of the terms of points (n, 3) with two columns of factors (13, 2)."""
-    first, second = np.empty(len(points)), np.empty(len(points))
-    for n in range(len(points)):
+    out = np.empty((2, len(points)))
+    in_shares(len(points), _sum_of_terms, points, middle, scale, known, out)
+    return out[0], out[1]
+
+
+@compiled
+def _sum_of_terms(first, last, points, middle, scale, known, out):
+    for n in range(first, last):
         x, y = (points[n, 0] - middle[0]) / scale, (points[n, 1] - middle[1]) / scale
         z = (points[n, 2] - middle[2]) / scale
         terms = (1.0, x, y, z, x * x, x * y, y * y, x * z, y * z, x * x * x, x * x * y, x * y * y, y * y * y)
@@ -326,16 +345,15 @@ def _placed(points, middle, scale, known):
         for k in range(13):
             a += terms[k] * known[k, 0]
             b += terms[k] * known[k, 1]
-        first[n], second[n] = a, b
-    return first, second
+        out[0, n], out[1, n] = a, b
 
 
 @compiled
-def _moved(points, rotation, translation):
-    """Three coordinates, each (n,), of points (n, 3) that are turned and moved."""
-    out = np.empty((3, len(points)))
-    for n in range(len(points)):
+def _in_rays(first, last, points, rotation, translation, right_m, cell_m, level_m, out):
+    """t, level and metres towards the sun of points (n, 3)."""
+    for n in range(first, last):
         p = points[n]
-        for k in range(3):
-            out[k, n] = rotation[k, 0] * p[0] + rotation[k, 1] * p[1] + rotation[k, 2] * p[2] + translation[k]
-    return out[0], out[1], out[2]
+        right = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + translation[0]
+        up = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + translation[1]
+        away = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + translation[2]
+        out[0, n], out[1, n], out[2, n] = (right - right_m) / cell_m, up - level_m, -away

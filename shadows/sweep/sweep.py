@@ -37,7 +37,7 @@ from shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_o
 from shadows.sweep.settings import SweepSettings, resolve_sweep
 from shadows.work import Work, Workload, is_decimated
 from terrain.casters.reach import Casters, Patch, Receivers
-from terrain.compiled import CORES
+from terrain.compiled import CORES, compiled, in_shares
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.bare_nodes import BareNodes
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -238,18 +238,27 @@ def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Aske
     nodes = buffer.there & on_triangles & on_nodes
     others = buffer.there & ~nodes
     rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))
-    points = buffer.position_frame_m[others]
+    pixels = np.flatnonzero(others)
+    points = np.empty((len(pixels), 3))
+    in_shares(len(pixels), _picked, buffer.position_frame_m.reshape(-1, 3), pixels, points)
     t, level_m, towards_m = rays.t_level_towards(points, buffer.frame)
     if isinstance(view, MapView):
         if nodes.any():
             rows, cols, window = _window_of(rays, ground, view)
-        pixels = np.nonzero(others)
-        row, col = view.row0 + pixels[0] * view.row_step, view.col0 + pixels[1] * view.col_step
+        place = np.divmod(pixels, view.cols)
+        row, col = view.row0 + place[0] * view.row_step, view.col0 + place[1] * view.col_step
     else:
         row, col = rays.rows_and_columns(points, buffer.frame)
     turned_row, turned_col = rays.turn.onto(row - ground.row0, col - ground.col0, *ground.shape)
-    level_m[on_triangles[others]] = np.nan
+    level_m[on_triangles.reshape(-1)[pixels]] = np.nan
     return _Asked(_t_range(rays, buffer), nodes, rows, cols, window, others, turned_row, turned_col, t, level_m, towards_m)
+
+
+@compiled
+def _picked(first, last, values, which, out):
+    for n in range(first, last):
+        for k in range(3):
+            out[n, k] = values[which[n], k]
 
 
 def _swept(

@@ -15,11 +15,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled, in_shares
 from terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
 from terrain.facts.fact_types import Fact, number
+from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
@@ -105,10 +107,32 @@ def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
     if isinstance(view, MapView) or scene.loaded.level.terrain.imagery is not None:
         return
     low, high = scene.height_range_m
+    in_shares(len(albedo), _vary, albedo, _detail(buffer, scene, view), 1.0 if high > low else PAVED, np.array(HUE))
+
+
+def _made_from(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
+    return buffer.position_frame_m, scene.elevation, view.pixel
+
+
+@cached("scene", 128 * MIB, key=_made_from, most=1)
+def _detail(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.ndarray:
+    """How much lighter and drier (rows, cols, 2) float64 the ground is: the same under any sun."""
+    out = np.zeros((*buffer.there.shape, 2))
     in_shares(
-        len(albedo), _vary, albedo, buffer.shown, scene.world.anchor_from_frame(buffer.frame), scene.elevation.water_m + SHORE_M,
-        view.in_frame(buffer.frame)[0], view.pixel, 1.0 if high > low else PAVED, _WAVES, np.array(HUE),
+        len(out), _waves_on, buffer.shown, scene.world.anchor_from_frame(buffer.frame), scene.elevation.water_m + SHORE_M,
+        view.in_frame(buffer.frame)[0], view.pixel, _WAVES, out,
     )  # fmt: skip
+    return out
+
+
+@compiled
+def _vary(first, last, albedo, detail, share, hue):
+    for i in range(first, last):
+        for j in range(albedo.shape[1]):
+            lighter, drier = detail[i, j, 0], detail[i, j, 1]
+            if lighter != 0.0 or drier != 0.0:
+                for k in range(3):
+                    albedo[i, j, k] *= 1.0 + share * (lighter + hue[k] * drier)
 
 
 @compiled
@@ -118,7 +142,7 @@ def _shown(wave_m, pixel_m):
 
 
 @compiled
-def _vary(first, last, albedo, shown, anchor_from_frame, water_m, eye, pixel, share, waves, hue):
+def _waves_on(first, last, shown, anchor_from_frame, water_m, eye, pixel, waves, out):
     there, kind, position, height, normal = shown
     rotation, origin = anchor_from_frame
     for i in range(first, last):
@@ -144,8 +168,7 @@ def _vary(first, last, albedo, shown, anchor_from_frame, water_m, eye, pixel, sh
                 lighter += value
                 if k < HUE_WAVES:
                     drier += value
-            for k in range(3):
-                albedo[i, j, k] *= 1.0 + share * (lighter + hue[k] * drier)
+            out[i, j, 0], out[i, j, 1] = lighter, drier
 
 
 EFFECT = Effect("detail of the ground near the eye", called_for, facts, "albedo", apply_ground_detail)

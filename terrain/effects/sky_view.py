@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from terrain.cache import MIB, cached
 from terrain.compiled import compiled, in_shares
 from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
 from terrain.facts.coarse_view import CoarseView
@@ -134,14 +135,25 @@ def _highest_round(values, table, nodes, reach):
 
 def apply_sky_view(skylight: np.ndarray, block: ShadingBlock) -> None:
     """Take from each point's share of the sky what ground hides there."""
+    skylight *= _left_of_sky(block)
+
+
+def _made_from(block: ShadingBlock) -> tuple[object, ...]:
+    return block.buffer.position_frame_m, block.scene.elevation, block.view.rows
+
+
+@cached("scene", 64 * MIB, key=_made_from, most=1)
+def _left_of_sky(block: ShadingBlock) -> np.ndarray:
+    """The share of the sky (rows, cols) float64 that ground leaves: the same under any sun."""
     buffer, scene = block.buffer, block.scene
     baked = sky_view(scene.elevation, scene.world)
     eye, tangent, width_m = pixel_size(block)
     nodes = sky_view_nodes(baked, buffer.frame, buffer.position_frame_m, buffer.height_m)
+    out = np.ones(buffer.there.shape)
     in_shares(
-        len(skylight), _hide, skylight, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m,
-        width_m / baked.node_m,
+        len(out), _hide, out, nodes, buffer.position_frame_m, *baked.means, eye, tangent / baked.node_m, width_m / baked.node_m
     )  # fmt: skip
+    return out
 
 
 @compiled
@@ -156,7 +168,7 @@ def _hide(first, last, out, nodes, position, values, table, eye, tangent, width)
             if tangent > 0.0:
                 x, y, z = position[i, j, 0] - eye[0], position[i, j, 1] - eye[1], position[i, j, 2] - eye[2]
                 level = pyramid_level(table, tangent * np.sqrt(x * x + y * y + z * z))
-            out[i, j] *= 1.0 - hidden_on(values, level, row, col)
+            out[i, j] = 1.0 - hidden_on(values, level, row, col)
 
 
 EFFECT = Effect("sky-view factor: sky light that relief blocks", called_for, facts, "skylight", apply_sky_view)

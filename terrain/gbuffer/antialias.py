@@ -6,6 +6,7 @@ The samples are rows of pixels below the picture's own in one buffer, so that al
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import NEAR_M
-from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
+from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of, imagery_of
 from terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
@@ -57,7 +58,7 @@ class MultisampledBuffer:
         """Whether any pixels have samples."""
         return len(self.pixels[0]) > 0
 
-    @property
+    @cached_property
     def own(self) -> GeometryBuffer:
         """The picture's own pixels alone."""
         if not self.sampled:
@@ -107,8 +108,13 @@ def picture_buffer(scene: Scene, view: MapView | PerspectiveView) -> Multisample
     return MultisampledBuffer(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else multisampled(scene, view)
 
 
+def _made_from(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
+    return scene.world, scene.elevation, scene.map_crs, scene.objects, imagery_of(scene), view.numbers
+
+
+@cached("scene", 512 * MIB, key=_made_from, most=1)
 def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
-    """A view's buffer with samples wherever something ends in it."""
+    """A view's buffer with samples wherever something ends in it. The last one is kept: it is the same under any sun."""
     frame = view.frame(scene.world)
     visible = RasterisedView(scene, view, frame)
     normals = mesh_normals(scene.objects)

@@ -49,6 +49,12 @@ class PerspectiveView:
     pixel_share: float = 1.0
 
     @property
+    def numbers(self) -> tuple[object, ...]:
+        """All that a view is, to compare by: equal views have equal ones."""
+        eye, axes = self.eye_earth_m.tobytes(), self.earth_from_camera.tobytes()
+        return eye, axes, self.focal_px, self.row0, self.col0, self.step, self.rows, self.cols, self.pixel_share
+
+    @property
     def pixel(self) -> float:
         """A pixel's side as a tangent, at the middle of the picture."""
         return self.pixel_share * self.step / self.focal_px

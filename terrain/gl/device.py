@@ -325,8 +325,8 @@ class Device:
     def read(self, target: moderngl.Framebuffer, attachment: int = 0, kind: str = "f4", components: int = 1) -> np.ndarray:
         """Read an attachment (-1: the depth) as (rows, cols) or (rows, cols, components); row 0 is the first texel row.
 
-        ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for steps of 16-bit depths. Raises ``GraphicsError`` with the wrong context, so
-        that a mistake can never return other memory's bytes.
+        ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for steps of 16-bit depths. Raises
+        ``GraphicsError`` with the wrong context, so that a mistake can never return other memory's bytes.
         """
         self.require_current()
         width, height = target.size
