@@ -16,7 +16,7 @@ import numpy as np
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled, in_shares
 from terrain.gbuffer.ground_mesh import GroundMesh
-from terrain.gbuffer.tree_instances import TreeInstances
+from terrain.gbuffer.tree_instances import TREE_TRIANGLES, TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
@@ -74,20 +74,22 @@ def rasterise_perspective(
         "near_m": NEAR_M,
     }
     target = gl.visible_target(view.cols, view.rows)
+    ends = np.array([[first[k] - view.step, first[k] + size[k] * view.step] for k in (0, 1)]) / view.focal_px
+    ahead = _in_view(ground.position_frame_m, ground.triangles, eye, camera_from_frame, ends)
     with gl.visible_pass(target):
         if wanted is not None:  # what is nearer than all hides the rest before it costs anything
             gl.write_depths(target, np.where(wanted, np.float32(0.0), np.float32(1.0)))
         program = _program(gl, "visible.vert", "visible.frag", uniforms)
-        drawn = gl.draw_triangles(program, ground.position_frame_m, ground.triangles, 0)
+        gl.draw_triangles(program, ground.position_frame_m, ground.triangles[ahead], 0)
+        drawn = len(ground.triangles)
         if solids is not None:
             drawn += gl.draw_triangles(program, *solids, drawn)
         if instances is not None:
-            ends = np.array([[first[k] - 0.5 * view.step, first[k] + (size[k] - 0.5) * view.step] for k in (0, 1)])
-            in_sight = instances.in_cone(eye, camera_from_frame, ends / view.focal_px)
+            in_sight = instances.in_cone(eye, camera_from_frame, ends)
             in_sight = instances.nearest_first(in_sight, camera_from_frame[2])
             more = {"in_map": False, "level_bias": float(np.log2(view.pixel_share))}
             _draw_trees(gl, instances, in_sight, instances.base_frame_m, {**uniforms, **more}, drawn)
-    return _read(gl, target, instances, drawn, None if instances is None else in_sight, with_depth=wanted is None)
+    return _read(gl, target, instances, drawn, None if instances is None else in_sight, ahead, with_depth=wanted is None)
 
 
 def rasterise_map(
@@ -120,7 +122,7 @@ def rasterise_map(
             more = {"in_map": True, "px_from_m": tuple(px_from_m.T.ravel()), "height_m": float(high - low)}
             more |= {"level_bias": float(np.log2(view.pixel_share))}
             _draw_trees(gl, instances, chosen, (bases_px - shift) * scale, {**uniforms, **more}, drawn)
-    return _read(gl, target, instances, drawn, chosen, with_depth=False)
+    return _read(gl, target, instances, drawn, chosen, np.zeros(0, np.int64), with_depth=False)
 
 
 def _draw_trees(
@@ -134,7 +136,8 @@ def _draw_trees(
     more = {"foliage": 0, "threshold": THRESHOLD, "curvature": instances.curvature, "first": first}
     set_uniforms(program, {**uniforms, **more})
     variant = np.concatenate([instances.turn, instances.variant[:, None]], axis=1)
-    gl.draw_instances(program, 18, [("base", base[chosen]), ("shape", instances.shape[chosen]), ("look", variant[chosen])])
+    attributes = [("base", base[chosen]), ("shape", instances.shape[chosen]), ("look", variant[chosen])]
+    gl.draw_instances(program, TREE_TRIANGLES, attributes)
 
 
 def _program(gl: Device, vertex: str, fragment: str, uniforms: dict[str, Any]) -> moderngl.Program:
@@ -156,22 +159,56 @@ def _read(
     instances: TreeInstances | None,
     drawn: int,
     chosen: np.ndarray | None,
+    ahead: np.ndarray,
     with_depth: bool,
 ) -> IdBuffer:
     number = gl.read(target, 0, "u4")
     depth = gl.read(target, -1) if with_depth else np.zeros((0, 0), np.float32)
+    in_shares(len(number), _renumber, number, ahead, drawn, np.zeros(0, np.int64) if chosen is None else chosen)
     if chosen is None or not len(chosen):
         none = np.zeros((*number.shape, 4), np.uint8) if instances is not None else np.zeros((0, 0, 4), np.uint8)
         return IdBuffer(number, none, depth)
-    in_shares(len(number), _renumber, number, drawn, chosen)
     return IdBuffer(number, gl.read(target, 1, "f1", 4), depth)
 
 
 @compiled
-def _renumber(first, last, number, drawn, chosen):
-    """Number triangles of trees among all trees, where they are numbered among the ``chosen`` ones."""
+def _renumber(first, last, number, ahead, drawn, chosen):
+    """Number triangles among all of the ground and of the trees: they are numbered among those that are ``ahead``, and the
+    ``chosen`` trees.
+    """
     for i in range(first, last):
         for j in range(number.shape[1]):
-            inside = np.int64(number[i, j]) - drawn - 1
+            own = np.int64(number[i, j]) - 1
+            inside = own - drawn
             if inside >= 0:
                 number[i, j] = np.uint32(chosen[inside // 6] * 6 + inside % 6 + drawn + 1)
+            elif 0 <= own < len(ahead):
+                number[i, j] = np.uint32(ahead[own] + 1)
+
+
+@compiled
+def _in_view(position, triangles, eye, rotation, tangents):
+    """Indices of triangles that are not all on the far side of one of a pyramid's planes: from an eye along the third axis of
+    ``rotation``, between least and greatest x / z and y / z.
+    """
+    outside = np.zeros(len(position), np.uint8)
+    at = np.empty(3)
+    for n in range(len(position)):
+        for k in range(3):
+            at[k] = (
+                rotation[k, 0] * (position[n, 0] - eye[0]) + rotation[k, 1] * (position[n, 1] - eye[1])
+                + rotation[k, 2] * (position[n, 2] - eye[2])
+            )  # fmt: skip
+        code = 1 if at[2] < 0.0 else 0
+        for axis in range(2):
+            code |= (2 << 2 * axis) * (at[axis] < tangents[axis, 0] * at[2]) + (4 << 2 * axis) * (
+                at[axis] > tangents[axis, 1] * at[2]
+            )
+        outside[n] = code
+    out = np.empty(len(triangles), np.int64)
+    count = 0
+    for n in range(len(triangles)):
+        if outside[triangles[n, 0]] & outside[triangles[n, 1]] & outside[triangles[n, 2]] == 0:
+            out[count] = n
+            count += 1
+    return out[:count].copy()

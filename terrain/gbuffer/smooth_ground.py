@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.lift import up_at
 from terrain.gbuffer.shared_points import facing_normals
@@ -23,26 +23,46 @@ def on_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBu
     lifted = facing_normals(buffer, light).lifted
     if not lifted.any():
         return buffer
-    position = buffer.position_frame_m.copy()
+    position = np.empty_like(buffer.position_frame_m)
+    corners = None if buffer.corners_frame_m is None else np.empty_like(buffer.corners_frame_m)
+    in_map = isinstance(buffer.view, MapView)
     if isinstance(buffer.view, MapView):
         assert buffer.surface is not None
-        _move_up(position, lifted, buffer.lift_m, buffer.surface.centre_frame_m)
+        from_frame_m = buffer.surface.centre_frame_m
     else:
-        to_eye = buffer.view.in_frame(buffer.frame)[0] - position[lifted]
-        length = np.linalg.norm(to_eye, axis=-1)
-        position[lifted] += to_eye * (np.minimum(buffer.lift_m[lifted], 0.5 * length) / length)[:, None]
-    corners = None if buffer.corners_frame_m is None else buffer.corners_frame_m.copy()
-    if corners is not None:
-        corners[lifted] = np.tile(position[lifted], 3)
+        from_frame_m = buffer.view.in_frame(buffer.frame)[0]
+    in_shares(
+        len(lifted), _put, buffer.position_frame_m, buffer.corners_frame_m, lifted, buffer.lift_m, from_frame_m, in_map, position,
+        corners,
+    )  # fmt: skip
     return replace(buffer, position_frame_m=position, corners_frame_m=corners, lifted=lifted)
 
 
 @compiled
-def _move_up(position, lifted, lift, centre):
-    up = np.empty(3)
-    for i in range(lifted.shape[0]):
+def _put(first, last, points, triangles, lifted, lift, origin, in_map, position, corners):
+    """Points as they are, but for those that are lifted: up from a centre in a map, else towards an eye, half-way at most."""
+    way = np.empty(3)
+    for i in range(first, last):
         for j in range(lifted.shape[1]):
-            if lifted[i, j]:
-                up_at(position[i, j], centre, up)
+            p = position[i, j]
+            for k in range(3):
+                p[k] = points[i, j, k]
+            if corners is not None:
+                for k in range(9):
+                    corners[i, j, k] = triangles[i, j, k]
+            if not lifted[i, j]:
+                continue
+            if in_map:
+                up_at(p, origin, way)
                 for k in range(3):
-                    position[i, j, k] += lift[i, j] * up[k]
+                    p[k] += lift[i, j] * way[k]
+            else:
+                for k in range(3):
+                    way[k] = origin[k] - p[k]
+                length = np.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
+                share = min(np.float64(lift[i, j]), 0.5 * length) / length
+                for k in range(3):
+                    p[k] += way[k] * share
+            if corners is not None:
+                for k in range(9):
+                    corners[i, j, k] = p[k % 3]

@@ -285,8 +285,8 @@ class Device:
             for buffer in buffers:
                 buffer.release()
 
-    def draw_instances(self, program: moderngl.Program, vertices: int, instances: list[tuple[str, np.ndarray]]) -> int:
-        """Draw ``vertices`` vertices (triangles; numbered by ``gl_VertexID``) per instance of attributes (n, k) float32.
+    def draw_instances(self, program: moderngl.Program, triangles: np.ndarray, instances: list[tuple[str, np.ndarray]]) -> int:
+        """Draw triangles (m, 3) of vertices (their numbers are ``gl_VertexID``) per instance of attributes (n, k) float32.
 
         Returns the number of triangles.
         """
@@ -298,12 +298,13 @@ class Device:
         content = [
             (buffer, f"{data.shape[1]}f/i", name) for buffer, (name, data) in zip(held, instances, strict=True) if name in program
         ]
-        array = self.ctx.vertex_array(program, content)
-        self.render(array, vertices=vertices, instances=count)
+        held.append(self.ctx.buffer(np.ascontiguousarray(triangles, np.int32)))
+        array = self.ctx.vertex_array(program, content, index_buffer=held[-1])
+        self.render(array, instances=count)
         array.release()
         for buffer in held:
             buffer.release()
-        return count * vertices // 3
+        return count * len(triangles)
 
     def draw_sheet(self, program: moderngl.Program, position: np.ndarray, triangles: np.ndarray) -> int:
         """Draw a sheet's triangles; ``position`` (rows, cols, k) are its nodes. Returns the number of triangles."""

@@ -28,8 +28,8 @@ vec3 facing_color(vec3 own) {
 
 void main() {
     vec4 leaf = texture(foliage, at, level_bias);
-    vec3 color = in_map ? leaf.rgb : facing_color(leaf.rgb);
     if (leaf.a < threshold) discard;
+    vec3 color = in_map ? leaf.rgb : facing_color(leaf.rgb);
     seen = uint(first + tree * 6 + gl_PrimitiveID) + 1u;
     albedo = vec4(sqrt(color), 1.0);  // roots, so that eight bits hold dark greens
 }
