@@ -12,7 +12,7 @@ from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError, ProjError
 
-from terrain.cache import clear_scene_caches
+from terrain.cache import MIB, cached, clear_scene_caches
 from terrain.errors import InputError, LevelError, SourceError
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.geo.grid import Grid, MapView, map_view
@@ -216,8 +216,7 @@ class Scene:
         lat = self.world.anchor_lat_deg
         if not -80.0 <= lat <= 84.0:
             return CRS.from_epsg(3413 if lat > 0 else 3031)
-        zones = query_utm_crs_info("WGS 84", AreaOfInterest(lon, lat, lon, lat))
-        return CRS.from_epsg(int(zones[0].code))
+        return _utm_zone(lon, lat)
 
     def view(
         self,
@@ -372,6 +371,13 @@ def with_own_sun(loaded: LoadedLevel, world: World, elevation: Elevation) -> Loa
     if loaded.level.sun is not None:
         return loaded
     return loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": own_sun(world, elevation)})})
+
+
+@cached("process", MIB)
+def _utm_zone(lon_deg: float, lat_deg: float) -> CRS:
+    """The UTM zone of a place. PROJ's database takes tens of milliseconds to tell, and each sun has a scene of its own."""
+    zones = query_utm_crs_info("WGS 84", AreaOfInterest(lon_deg, lat_deg, lon_deg, lat_deg))
+    return CRS.from_epsg(int(zones[0].code))
 
 
 def _world(loaded: LoadedLevel, elevation: Elevation) -> World:

@@ -147,6 +147,26 @@ def sky_color(sky, sine, along, out):
 
 
 @compiled
+def horizon_of_row(sky, along, out):
+    """``sky_color`` at the horizon, (3, n), for many cosines (n,) of the azimuth to the sun."""
+    below_sun, opposite, _, glow, aureole, _, sun = sky
+    light = np.zeros(along.size)
+    if aureole > 0.0:
+        for asymmetry, most in LOBES:
+            for j in range(along.size):
+                between = sun[1] * along[j]
+                ahead = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * between)
+                light[j] += most * ahead * np.sqrt(ahead)
+        light *= aureole
+    for k in range(3):
+        for j in range(along.size):
+            facing = 0.5 + 0.5 * along[j]
+            facing *= facing
+            foot = opposite[k] + (below_sun[k] - opposite[k]) * facing
+            out[k, j] = foot + (glow[k] - foot) * light[j]
+
+
+@compiled
 def gradient_noise(x, y):
     """Noise in [-0.5, 0.5) at the place of a pixel (J. Jimenez 2014)."""
     inner = 0.06711056 * x + 0.00583715 * y

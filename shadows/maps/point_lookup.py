@@ -75,13 +75,18 @@ def _look_up(first, last, sun, comparison, points, chosen, visibility):
     for m in range(first, last):
         i = chosen[m]
         _in_light(sun, points.position[i], True, p)
+        is_empty = by_triangles and _is_empty(sun, p, taps)
+        if by_triangles and not is_empty:
+            lit, counted = _on_own_triangle(sun, comparison, p, points.corners[i])
+            if counted > np.float32(0.0):
+                visibility[i] = lit / counted
+                continue
         _in_light(sun, points.normal[i], False, n)
         if n[2] > np.float32(0.0):  # foliage is lit from either side
             n[0], n[1], n[2] = -n[0], -n[1], -n[2]
-        crease = abs(points.crease[i])
-        _clear_of(sun, comparison, p, n, crease, clear)
-        if by_triangles:
-            if _is_empty(sun, p, taps) and _is_empty(sun, clear, beside):
+        _clear_of(sun, comparison, p, n, abs(points.crease[i]), clear)
+        if is_empty:
+            if _is_empty(sun, clear, beside):
                 visibility[i] = np.float32(1.0)
                 continue
             lit, counted = _on_own_triangle(sun, comparison, p, points.corners[i])

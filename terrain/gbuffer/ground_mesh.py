@@ -15,7 +15,7 @@ from pyproj import CRS
 from terrain.cache import MIB, cached
 from terrain.geo.camera import FRAME_SHARE, PerspectiveView
 from terrain.geo.grid import Grid, map_grid
-from terrain.geo.world import World, transformer
+from terrain.geo.world import LocalFrame, World, transformer
 from terrain.ground.decimation import NodeErrors, decimate, errors_m
 from terrain.ground.elevation import Elevation
 from terrain.ground.sheet import sheet_of
@@ -84,7 +84,10 @@ class GroundNodes:
 
 def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_GROUND_TRIANGLES) -> GroundMesh:
     """The ground as an eye sees it, in the eye's frame; the last ones are kept. A view's parts and shifts share one."""
-    return _ground_mesh(scene.world, scene.elevation, scene.map_crs, tuple(view.eye_earth_m), view.focal_px, max_triangles)
+    world, elevation, crs = scene.world, scene.elevation, scene.map_crs
+    if _nodes(world, elevation, crs, max_triangles).errors is None:  # all of it is drawn: for every eye of a frame
+        return _whole_mesh(world, elevation, crs, view.frame(world), max_triangles)
+    return _ground_mesh(world, elevation, crs, tuple(view.eye_earth_m), view.focal_px, max_triangles)
 
 
 def ground_nodes(scene: Scene) -> GroundNodes:
@@ -97,21 +100,38 @@ def _ground_mesh(
     world: World, elevation: Elevation, crs: CRS, eye_earth_m: tuple[float, ...], focal_px: float, max_triangles: int
 ) -> GroundMesh:
     nodes = _nodes(world, elevation, crs, max_triangles)
-    grid, tolerance = nodes.grid, 0.0
-    if nodes.errors is None:
-        row, col, triangles = _whole(nodes.height_m)
-    else:
-        x, y, height = world.map_position(grid.crs, np.array(eye_earth_m))
-        eye_row_col_m = (
-            float((grid.y0 - y) / grid.step) - nodes.row0,
-            float((x - grid.x0) / grid.step) - nodes.col0,
-            float(height),
-        )
-        found = decimate(nodes.errors, eye_row_col_m, TOLERANCE_PX / focal_px, max_triangles)
-        row, col = found.nodes[:, 0], found.nodes[:, 1]
-        triangles, tolerance = found.triangles, found.tolerance * focal_px
-    height = nodes.height_m[row, col]
+    grid = nodes.grid
+    assert nodes.errors is not None
+    x, y, height = world.map_position(grid.crs, np.array(eye_earth_m))
+    eye_row_col_m = (
+        float((grid.y0 - y) / grid.step) - nodes.row0,
+        float((x - grid.x0) / grid.step) - nodes.col0,
+        float(height),
+    )
+    found = decimate(nodes.errors, eye_row_col_m, TOLERANCE_PX / focal_px, max_triangles)
     frame = world.frame_near_earth(np.array(eye_earth_m), FRAME_SHARE)
+    row, col = found.nodes[:, 0], found.nodes[:, 1]
+    return _mesh(world, elevation, nodes, frame, row, col, found.triangles, found.tolerance * focal_px)
+
+
+@cached("scene", 256 * MIB)
+def _whole_mesh(world: World, elevation: Elevation, crs: CRS, frame: LocalFrame, max_triangles: int) -> GroundMesh:
+    nodes = _nodes(world, elevation, crs, max_triangles)
+    return _mesh(world, elevation, nodes, frame, *_whole(nodes.height_m), 0.0)
+
+
+def _mesh(
+    world: World,
+    elevation: Elevation,
+    nodes: GroundNodes,
+    frame: LocalFrame,
+    row: np.ndarray,
+    col: np.ndarray,
+    triangles: np.ndarray,
+    tolerance: float,
+) -> GroundMesh:
+    """The mesh of triangles of some of the ground's nodes, in a frame."""
+    grid, height = nodes.grid, nodes.height_m[row, col]
     position = Surface(world, elevation, grid).positions(row + nodes.row0, col + nodes.col0, height, frame)
     faces = face_normals(position, triangles)
     return GroundMesh(

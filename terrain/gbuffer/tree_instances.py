@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.geo.world import LocalFrame
 from terrain.scene_objects import SceneObjects
 from terrain.trees.foliage import TREE_VARIANTS, leaf_outlines
@@ -119,8 +119,9 @@ def tree_instances_in_perspective(
     trees = objects.trees
     if trees is None:
         return None
-    away_m = np.maximum(np.linalg.norm(trees.base_earth_m - np.array(eye_earth_m), axis=1), 1.0)
-    return _stand(objects, trees, frame, trees.height_m * focal_px / (away_m * ALL_TREES_PX))
+    size = np.empty(len(trees.rank))
+    in_shares(len(size), _seen_from, trees.base_earth_m, np.array(eye_earth_m), trees.height_m * focal_px, size)
+    return _stand(objects, trees, frame, size)
 
 
 def _stand(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndarray) -> TreeInstances:
@@ -128,7 +129,7 @@ def _stand(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndar
     share = _share(size)
     number = np.flatnonzero(trees.rank < share)
     share = share[number]
-    base = frame.points_from_earth(trees.base_earth_m[number])
+    base = _bases(objects, frame)[number]
     half, height = trees.crown_m[number] / 2.0, trees.height_m[number]
     crown_height = np.array([variant.crown_height for variant in TREE_VARIANTS], np.float32)[trees.variant[number]]
     turn = np.radians(trees.turn_deg[number].astype(np.float64))
@@ -141,6 +142,21 @@ def _stand(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndar
         variant=trees.variant[number].astype(np.int32),
         curvature=objects.world.curvature,
     )
+
+
+@cached("scene", 256 * MIB)
+def _bases(objects: SceneObjects, frame: LocalFrame) -> np.ndarray:
+    """The feet (n, 3) of all trees in a frame, which holds for many eyes."""
+    assert objects.trees is not None
+    return frame.points_from_earth(objects.trees.base_earth_m)
+
+
+@compiled
+def _seen_from(first, last, base, eye, height_px, out):
+    """Trees' heights in pixels as shares of that from which all are drawn; ``height_px`` at the distance 1."""
+    for n in range(first, last):
+        x, y, z = base[n, 0] - eye[0], base[n, 1] - eye[1], base[n, 2] - eye[2]
+        out[n] = height_px[n] / (max(np.sqrt(x * x + y * y + z * z), 1.0) * ALL_TREES_PX)
 
 
 def _share(size: np.ndarray) -> np.ndarray:

@@ -32,6 +32,9 @@ _FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 _TEXTURE_2D_ARRAY = 0x8C1A
 _TEXTURE_2D, _DEPTH_COMPONENT, _FLOAT = 0x0DE1, 0x1902, 0x1406
+VISIBLE_TARGETS = 2
+"""Framebuffers of what is seen that are kept: of a view's pixels, and of the finer ones that its samples are."""
+
 PROGRAM_BYTES = 64 * KIB
 """About what a compiled program takes."""
 
@@ -62,7 +65,7 @@ class Device:
             self._made_depth_target, lambda target: self._release_target(target, target.depth_attachment)
         )
         self._float_target: moderngl.Framebuffer | None = None
-        self._visible_target: moderngl.Framebuffer | None = None
+        self._visible_targets: list[moderngl.Framebuffer] = []  # the one used last at the end
         self.stencil = Stencil(self.ctx, self.require_current, self.check, lambda: self._parking.use())
         self._layers: Cache[moderngl.TextureArray] = Cache(
             "terrain.gl.device.layers", "process", 256 * MIB, _layers_bytes, moderngl.TextureArray.release
@@ -181,16 +184,20 @@ class Device:
             self.ctx.front_face, self.ctx.cull_face = "ccw", "back"
 
     def visible_target(self, width: int, height: int) -> moderngl.Framebuffer:
-        """A framebuffer of one uint32 (what is seen), one RGBA8 (its albedo) and a float depth; the last one is kept."""
+        """A framebuffer of one uint32 (what is seen), one RGBA8 (its albedo) and a float depth; the last ones are kept."""
         self.require_current()
-        if self._visible_target is None or self._visible_target.size != (width, height):
-            if self._visible_target is not None:
-                old = self._visible_target
+        found = next((each for each in self._visible_targets if each.size == (width, height)), None)
+        if found is not None:
+            self._visible_targets.remove(found)
+        else:
+            while len(self._visible_targets) >= VISIBLE_TARGETS:
+                old = self._visible_targets.pop(0)
                 self._release_target(old, *old.color_attachments, old.depth_attachment)
             colors = [self.ctx.texture((width, height), 1, dtype="u4"), self.ctx.texture((width, height), 4)]
-            self._visible_target = self.ctx.framebuffer(colors, self._depth_texture(width, height, 32))
+            found = self.ctx.framebuffer(colors, self._depth_texture(width, height, 32))
             self.check("visible_target")
-        return self._visible_target
+        self._visible_targets.append(found)
+        return found
 
     @contextmanager
     def visible_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 
 
 @compiled
@@ -38,13 +38,20 @@ def smooth_normals(faces, triangles, nodes):
     return out
 
 
-@compiled
-def creases(position, faces, triangles, limit):
+def creases(position: np.ndarray, faces: np.ndarray, triangles: np.ndarray, limit: float) -> np.ndarray:
     """How much a mesh bends up round each face: the largest distance (m,) float32, below ``limit``, between its unit normal and
     those of faces that share a node with it and rise above its plane. What bends down is behind the plane as the light sees it,
     and cannot be taken for something in front.
     """
-    nodes = len(position)
+    out = np.zeros(len(triangles), np.float32)
+    if len(triangles):
+        in_shares(len(triangles), _creases, position, faces, triangles, limit, *_faces_round(len(position), triangles), out)
+    return out
+
+
+@compiled
+def _faces_round(nodes, triangles):
+    """Where the faces round each node begin (n + 1,) in a list of them, and that list."""
     start = np.zeros(nodes + 1, np.int64)
     for t in range(len(triangles)):
         for k in range(3):
@@ -58,8 +65,12 @@ def creases(position, faces, triangles, limit):
             n = triangles[t, k]
             around[filled[n]] = t
             filled[n] += 1
-    out = np.zeros(len(triangles), np.float32)
-    for t in range(len(triangles)):
+    return start, around
+
+
+@compiled
+def _creases(first, last, position, faces, triangles, limit, start, around, out):
+    for t in range(first, last):
         worst = 0.0
         for k in range(3):
             n = triangles[t, k]
@@ -69,7 +80,6 @@ def creases(position, faces, triangles, limit):
                 if d > worst and d < limit * limit and _rises(position, triangles[u], position[triangles[t, 0]], faces[t]):
                     worst = d
         out[t] = np.sqrt(worst)
-    return out
 
 
 @compiled
