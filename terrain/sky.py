@@ -60,6 +60,9 @@ LOBES = ((0.72, 0.40), (0.965, 0.55))
 TWILIGHT_DEG = 9.0
 """How far below the horizon the sun still colours the foot of the sky."""
 
+RUN = 1024
+"""Pixels that are worked on at a time."""
+
 HORIZON_AZIMUTHS = 129
 """Directions along the horizon in which its colour is looked at, from the sun's to the opposite one; closest near the sun."""
 
@@ -101,10 +104,10 @@ def sky_of(scene: Scene) -> Sky:
 
 def horizon_colors(scene: Scene) -> np.ndarray:
     """Linear display colours (n, 3) of the horizon, from below the sun to the opposite side: any of it lies between two of them."""
-    sky, out = sky_of(scene), np.empty((HORIZON_AZIMUTHS, 3))
-    for n, azimuth in enumerate(np.pi * np.linspace(0.0, 1.0, HORIZON_AZIMUTHS) ** 2):
-        sky_color(sky, 0.0, np.cos(azimuth), out[n])
-    return out
+    out = np.empty((3, HORIZON_AZIMUTHS))
+    azimuths = np.pi * np.linspace(0.0, 1.0, HORIZON_AZIMUTHS) ** 2
+    sky_colors(sky_of(scene), np.zeros(HORIZON_AZIMUTHS), np.cos(azimuths), out)
+    return out.T
 
 
 def sunward(to_sun: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -147,23 +150,41 @@ def sky_color(sky, sine, along, out):
 
 
 @compiled
-def horizon_of_row(sky, along, out):
-    """``sky_color`` at the horizon, (3, n), for many cosines (n,) of the azimuth to the sun."""
-    below_sun, opposite, _, glow, aureole, _, sun = sky
-    light = np.zeros(along.size)
+def sky_colors(sky, sine, along, out):
+    """``sky_color`` of many directions (n,), into (3, n), in loops that compile to vector instructions."""
+    below_sun, opposite, zenith, glow, aureole, fall, sun = sky
+    light, share = np.zeros(sine.size), np.empty(sine.size)
     if aureole > 0.0:
         for asymmetry, most in LOBES:
-            for j in range(along.size):
-                between = sun[1] * along[j]
+            for n in range(sine.size):
+                height = max(sine[n], 0.0)
+                between = height * sun[0] + np.sqrt(max(1.0 - height * height, 0.0)) * sun[1] * along[n]
                 ahead = (1.0 - asymmetry) * (1.0 - asymmetry) / (1.0 + asymmetry * asymmetry - 2.0 * asymmetry * between)
-                light[j] += most * ahead * np.sqrt(ahead)
+                light[n] += most * ahead * np.sqrt(ahead)
         light *= aureole
     for k in range(3):
-        for j in range(along.size):
-            facing = 0.5 + 0.5 * along[j]
+        passing(fall[k], sine, share)
+        for n in range(sine.size):
+            facing = 0.5 + 0.5 * along[n]
             facing *= facing
             foot = opposite[k] + (below_sun[k] - opposite[k]) * facing
-            out[k, j] = foot + (glow[k] - foot) * light[j]
+            color = share[n] * foot + (1.0 - share[n]) * zenith[k]
+            out[k, n] = color + (glow[k] - color) * light[n]
+
+
+@compiled
+def passing(per_length, length, out):
+    """Shares of light (n,) that pass through lengths, exp(-per_length * length); all where a length is negative.
+
+    That is exp(-per_length * length / 1024)**1024, by its series: a call of a library's function for each would take most of the
+    time. Right to 1e-12.
+    """
+    for n in range(out.size):
+        x = max(-per_length * max(length[n], 0.0), -80.0) / 1024.0
+        power = 1.0 + x * (1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x * (1.0 / 120.0 + x / 720.0)))))
+        for _ in range(10):
+            power *= power
+        out[n] = power
 
 
 @compiled
@@ -176,19 +197,26 @@ def gradient_noise(x, y):
 
 @compiled
 def _sky(first, last, rows, cols, pixels, focal, up, level, sky, out):
-    color = np.empty(3)
-    for n in range(first, last):
-        px, py = pixels[0] + cols[n] * pixels[2], pixels[1] + rows[n] * pixels[2]
-        x, y = px / focal, py / focal
-        length = np.sqrt(1.0 + x * x + y * y)
-        sine = (x * up[0] + y * up[1] + up[2]) / length
-        across = np.sqrt(max(1.0 - sine * sine, 1e-12))
-        along = min(max((x * level[0] + y * level[1] + level[2]) / (length * across), -1.0), 1.0)
-        sky_color(sky, sine, along, color)
+    """In runs, by ``sky_colors``."""
+    px, py, sine, along = np.empty(RUN), np.empty(RUN), np.empty(RUN), np.empty(RUN)
+    color = np.empty((3, RUN))
+    for begin in range(first, last, RUN):
+        count = min(RUN, last - begin)
+        for n in range(count):
+            px[n], py[n] = pixels[0] + cols[begin + n] * pixels[2], pixels[1] + rows[begin + n] * pixels[2]
+        for n in range(count):
+            x, y = px[n] / focal, py[n] / focal
+            length = np.sqrt(1.0 + x * x + y * y)
+            sine[n] = (x * up[0] + y * up[1] + up[2]) / length
+            across = np.sqrt(max(1.0 - sine[n] * sine[n], 1e-12))
+            along[n] = min(max((x * level[0] + y * level[1] + level[2]) / (length * across), -1.0), 1.0)
+        sky_colors(sky, sine[:count], along[:count], color[:, :count])
         for k in range(3):
-            # sRGB is about the root of linear light: a step of 255 is twice that root over 255.
-            moved = color[k] + gradient_noise(px + 37.0 * k, py + 17.0 * k) * 2.1 / 255.0 * np.sqrt(color[k])
-            out[n, k] = min(max(moved, 0.0), 1.0)
+            for n in range(count):
+                # sRGB is about the root of linear light: a step of 255 is twice that root over 255.
+                own = color[k, n]
+                moved = own + gradient_noise(px[n] + 37.0 * k, py[n] + 17.0 * k) * 2.1 / 255.0 * np.sqrt(own)
+                out[begin + n, k] = min(max(moved, 0.0), 1.0)
 
 
 def _sunlight_color(altitude_deg: float) -> np.ndarray:

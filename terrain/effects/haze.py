@@ -44,7 +44,7 @@ from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame, geodetic
 from terrain.scene import Scene
 from terrain.shading import daylight_of, shoulder
-from terrain.sky import horizon_colors, horizon_of_row, sky_of, sunward
+from terrain.sky import horizon_colors, passing, sky_colors, sky_of, sunward
 from terrain.srgb import srgb_of_linear
 
 CONTRAST = 0.02
@@ -246,7 +246,7 @@ def _veil(first, last, color, there, position, eye, extinction, up, level, sky):
     """In rows of loops that compile to vector instructions."""
     cols = there.shape[1]
     away, along, passes = np.empty(cols), np.empty(cols), np.empty(cols)
-    foot = np.empty((3, cols))
+    at_horizon, foot = np.zeros(cols), np.empty((3, cols))
     for i in range(first, last):
         p = position[i]
         for j in range(cols):
@@ -255,26 +255,13 @@ def _veil(first, last, color, there, position, eye, extinction, up, level, sky):
             across = np.sqrt(max(square - rise * rise, 1e-12))
             along[j] = min(max((x * level[0] + y * level[1] + z * level[2]) / across, -1.0), 1.0)
             away[j] = np.sqrt(square)
-        horizon_of_row(sky, along, foot)
+        sky_colors(sky, at_horizon, along, foot)
         for k in range(3):
-            _passing(extinction[k], away, passes)
+            passing(extinction[k], away, passes)
             horizon, own = foot[k], color[i, :, k]
             for j in range(cols):
                 value = horizon[j] + (own[j] - horizon[j]) * passes[j]
                 own[j] = value if there[i, j] else own[j]
-
-
-@compiled
-def _passing(extinction, away, out):
-    """Shares of light (n,) that air lets through: exp(-extinction * away) = exp(-extinction * away / 1024)**1024, by its series. A
-    call of a library's function for each point would take most of the time. Right to 1e-12.
-    """
-    for j in range(out.size):
-        x = max(-extinction * away[j], -80.0) / 1024.0
-        power = 1.0 + x * (1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0 + x * (1.0 / 120.0 + x / 720.0)))))
-        for _ in range(10):
-            power *= power
-        out[j] = power
 
 
 @compiled

@@ -124,10 +124,10 @@ def resolve_perspective(
     """The points that triangles (numbers (rows, cols)) show; ``albedo_root`` (rows, cols, 3) is of the leaves that are seen."""
     size = number.shape
     points = ResolvedPoints(
-        np.zeros(size, np.bool_), np.full((*size, 3), np.nan), np.full(size, np.nan, np.float32),
-        np.full((*size, 3), np.nan, np.float32), np.full((*size, 3), np.nan, np.float32), np.zeros(size, np.float32),
-        np.zeros(size, np.uint8), np.full((*size, 3), np.nan, np.float32), np.zeros((*size, 9), np.float32),
-        np.full((*size, 2) if len(ground.cells) else (0, 0, 2), np.nan, np.float32), np.zeros(size, np.float32),
+        np.empty(size, np.bool_), np.empty((*size, 3)), np.empty(size, np.float32),
+        np.empty((*size, 3), np.float32), np.empty((*size, 3), np.float32), np.empty(size, np.float32),
+        np.empty(size, np.uint8), np.empty((*size, 3), np.float32), np.empty((*size, 9), np.float32),
+        np.empty((*size, 2) if len(ground.cells) else (0, 0, 2), np.float32), np.empty(size, np.float32),
     )  # fmt: skip
     in_shares(size[0], _resolve, number, camera, ground, solids, trees, albedo_root, points)
     return points
@@ -148,9 +148,19 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
     for i in range(first, last):
         for j in range(cols):
             t = np.int64(number[i, j]) - 1
+            there[i, j], kind[i, j], crease[i, j], lift[i, j] = t >= 0, NO_SURFACE, 0.0, 0.0
+            for k in range(3):
+                albedo[i, j, k] = np.nan
+            if len(ground_cells):
+                for k in range(2):
+                    cells[i, j, k] = np.nan
             if t < 0:
+                level[i, j] = np.nan
+                for k in range(3):
+                    point[i, j, k] = normal[i, j, k] = shading[i, j, k] = np.nan
+                for k in range(9):
+                    corners[i, j, k] = 0.0
                 continue
-            there[i, j] = True
             if i < own_rows:
                 x, y = tangents[0] + j * tangents[2], tangents[1] + i * tangents[2]
             else:

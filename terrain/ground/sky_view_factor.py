@@ -379,8 +379,8 @@ def pyramid_level(table, wide):
         coarser = halved - number
     other = min(number + 1, len(table) - 1)
     return PyramidLevel(
-        table[number, 0], table[number, 1], table[number, 2], 2.0**-number,
-        table[other, 0], table[other, 1], table[other, 2], 2.0**-other, coarser,
+        table[number, 0], table[number, 1], table[number, 2], 1.0 / (1 << number),
+        table[other, 0], table[other, 1], table[other, 2], 1.0 / (1 << other), coarser,
     )  # fmt: skip
 
 
