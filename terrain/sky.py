@@ -177,7 +177,7 @@ def passing(per_length, length, out):
     """Shares of light (n,) that pass through lengths, exp(-per_length * length); all where a length is negative.
 
     That is exp(-per_length * length / 1024)**1024, by its series: a call of a library's function for each would take most of the
-    time. Right to 1e-12.
+    time. Right to 1e-12 of all light.
     """
     for n in range(out.size):
         x = max(-per_length * max(length[n], 0.0), -80.0) / 1024.0

@@ -17,9 +17,6 @@ from terrain.errors import UnsupportedError
 STRIP_CELLS = 1024
 """Cells of a strip of lines: few enough that its state and two rows stay in a core's cache."""
 
-LEAST_CELLS = 32
-"""Cells of a strip at least: each passes a few cells more than its own."""
-
 TURN_BAND_ROWS = 64
 """Rows of a grid that a thread turns at a time."""
 
@@ -221,10 +218,9 @@ def sweep_nodes(
     base = np.clip(np.ceil(points.row).astype(np.int64) - 1, 0, n - 2)
     end = max(last - 1, int(base.max(initial=-1)) + 1)
     low, high = int(np.floor(t_range[0])), int(np.floor(t_range[1])) + 1
-    width = int(np.clip(-(-(high - low) // cores), LEAST_CELLS, STRIP_CELLS))
 
     def strip(start: int) -> None:
-        stop = min(start + width, high)
+        stop = min(start + STRIP_CELLS, high)
         cells = stop - start + 3
         held = (
             np.full((lines, cells), NO_GROUND_LEVEL, np.float32)
@@ -250,7 +246,7 @@ def sweep_nodes(
         sweep_rows(sheet, its, before, end, shade, lit, some)
         points_lit[strip_points], points_above_m[strip_points] = strip_answers
 
-    _on_cores(strip, range(low, high, width), cores)
+    _on_cores(strip, range(low, high, STRIP_CELLS), cores)
     return lit[:, 1:-1], points_lit, points_above_m
 
 

@@ -9,7 +9,18 @@ import pytest
 
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.shading import srgb_encoded
-from terrain.sky import SKY_HORIZON, SKY_ZENITH, gradient_noise, horizon_colors, sky, sky_color, sky_of, sunward
+from terrain.sky import (
+    SKY_HORIZON,
+    SKY_ZENITH,
+    gradient_noise,
+    horizon_colors,
+    passing,
+    sky,
+    sky_color,
+    sky_colors,
+    sky_of,
+    sunward,
+)
 from terrain.srgb import srgb_of_linear
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -126,3 +137,22 @@ def test_a_part_of_a_sky_is_the_same_sky_and_so_is_the_next_picture():
 def test_sunward_is_level_and_of_unit_length():
     assert sunward(np.array([0.6, 0.0, 0.8]), UP) == pytest.approx([1.0, 0.0, 0.0])
     assert sunward(UP, UP) == pytest.approx([0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("altitude_deg", [-4.0, 0.5, 12.0, 50.0])
+def test_rows_of_the_sky_have_the_colours_of_its_directions(altitude_deg):
+    its_sky, rng = sky_of(scene_of(altitude_deg)), np.random.default_rng(3)
+    sine, along = np.concatenate([rng.uniform(-0.2, 1.0, 300), [0.0, 1.0, -1.0]]), rng.uniform(-1.0, 1.0, 303)
+    many, one = np.empty((3, 303)), np.empty((303, 3))
+    sky_colors(its_sky, sine, along, many)
+    for n in range(303):
+        sky_color(its_sky, sine[n], along[n], one[n])
+    np.testing.assert_allclose(many.T, one, rtol=1e-9)
+
+
+def test_what_passes_through_air_falls_off_exponentially():
+    length = np.concatenate([np.linspace(0.0, 60.0, 500), [1e-12, 1e4, -5.0]])
+    out = np.empty(len(length))
+    for per_length in (1e-9, 0.02, 1.0):
+        passing(per_length, length, out)
+        np.testing.assert_allclose(out, np.exp(-per_length * np.maximum(length, 0.0)), rtol=0.0, atol=1e-12)

@@ -271,7 +271,7 @@ def test_a_camera_s_points_have_one_triangle_each(gl, ground_of):
     buffer = geometry_of(scene, scene.view("low"))
     facing = facing_normals(buffer, light_position(direction_enu(200.0, 20.0), 0.0))
     assert buffer.there.any()
-    np.testing.assert_array_equal(facing.lift_frame, buffer.normal_frame)
+    assert facing.lift_frame is None  # the buffer's own normals lead off
     assert not facing.blocked.any()
     to_sun = direction_enu(200.0, 20.0)
     by_day = (buffer.normal_frame @ to_sun > 0.1) & (buffer.shading_normal_frame @ to_sun > 0.1)

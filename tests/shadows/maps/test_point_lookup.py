@@ -1,0 +1,106 @@
+"""Points of perspective views are looked up by a compiled loop as the shaders look them up, and maps hold all that it takes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from api.catalogue import find_level
+from shadows.maps import drawing, point_lookup
+from shadows.maps import lookup as lookup_module
+from shadows.maps.trees_that_matter import trees_that_matter
+from shadows.maps.windows import DepthMap
+from shadows.render import Frame
+from terrain.cache import clear_caches
+from terrain.geo.camera import PerspectiveView
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+from tests.render import render
+
+SUN = SunSpec(azimuth=199, altitude=21)
+
+
+@pytest.fixture(scope="module")
+def landscape() -> Scene:
+    return build_scene(load_level(find_level("spatialace"))).with_sun(SUN)
+
+
+def drawn(scene: Scene, **asked: Any) -> Frame:
+    """A view of ground, meshes and trees, all by shadow maps, made anew."""
+    clear_caches("light")
+    view = scene.view("close")
+    assert isinstance(view, PerspectiveView)
+    return render(scene, view.part(100, 100, 300, 400), **{"algorithm": "shadow_map", "map_size": 512, **asked})
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"filter": 1}, {"filter": 3}, {"filter": 5, "depth_bits": 24}, {"filter": 3, "depth_bits": 32, "cascades": 4},
+        {"filter": 3, "bias": "normal_offset"}, {"filter": 3, "bias": "polygon_offset"},
+    ],
+    ids=lambda asked: "-".join(str(value) for value in asked.values()),
+)  # fmt: skip
+def test_the_loop_gives_what_the_shader_gives(gl, landscape, monkeypatch, asked):
+    """To the bit, on the rasteriser whose arithmetic is that of the loop; elsewhere all but points on a texel's border."""
+    by_loop = drawn(landscape, **asked)
+    with monkeypatch.context() as patch:
+        # a map that is told not to be uniform is looked up by the shader
+        patch.setattr(DepthMap, "is_uniform", property(lambda drawn: False))
+        by_shader = drawn(landscape, **asked)
+    assert any("point_lookup" in label for record in by_loop.passes for label in record.programs)
+    assert not any("point_lookup" in label for record in by_shader.passes for label in record.programs)
+    assert 0.05 < np.nanmean(by_shader.visibility < 1.0) < 0.95
+    if "llvmpipe" in gl.renderer:
+        np.testing.assert_array_equal(by_loop.visibility, by_shader.visibility)
+    assert (np.nan_to_num(by_loop.visibility) != np.nan_to_num(by_shader.visibility)).mean() < 1e-3
+
+
+def test_the_loop_compares_on_the_points_own_triangle(gl, landscape, monkeypatch):
+    """Without it a coarse map shades slopes by themselves: the comparison above could not pass by never looking."""
+    right = drawn(landscape, map_size=256)
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            lookup_module, "_comparison", lambda settings, taps: point_lookup.Comparison(False, False, np.float32(0), taps, taps)
+        )
+        plain = drawn(landscape, map_size=256)
+    assert np.nanmean(plain.visibility) < np.nanmean(right.visibility) - 0.01
+
+
+@pytest.mark.parametrize("taps", [3, "sun"])
+@pytest.mark.parametrize("altitude_deg", [4.0, 21.0, 60.0])
+def test_trees_that_are_left_out_shade_nothing(gl, landscape, monkeypatch, taps, altitude_deg):
+    """Maps without them give the same shadows as maps with all trees; and some are left out."""
+    scene = landscape.with_sun(SunSpec(azimuth=150, altitude=altitude_deg))
+    counts: list[tuple[int, int]] = []
+
+    def some(drawn: DepthMap, *args: Any) -> np.ndarray:
+        chosen = trees_that_matter(drawn, *args)
+        assert drawn.trees is not None
+        counts.append((len(chosen), len(drawn.trees)))
+        return chosen
+
+    def every(drawn: DepthMap, *args: Any) -> np.ndarray:
+        assert drawn.trees is not None
+        return np.arange(len(drawn.trees))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(drawing, "trees_that_matter", some)
+        few = drawn(scene, filter=taps)
+    with monkeypatch.context() as patch:
+        patch.setattr(drawing, "trees_that_matter", every)
+        all_of_them = drawn(scene, filter=taps)
+    assert counts and all(chosen < there for chosen, there in counts) and any(chosen > 0 for chosen, _ in counts)
+    np.testing.assert_array_equal(few.visibility, all_of_them.visibility)
+
+
+def test_a_tree_before_the_receivers_is_not_left_out(gl, landscape, monkeypatch):
+    """A mask that forgets how far from the sun receivers lie loses shadows: this is what the test above would see."""
+    with_trees = drawn(landscape)
+    with monkeypatch.context() as patch:
+        patch.setattr(drawing, "trees_that_matter", lambda drawn, *args: np.zeros(0, np.int64))
+        without = drawn(landscape)
+    assert np.nanmean(without.visibility > with_trees.visibility) > 0.005

@@ -1,0 +1,67 @@
+"""What is left undrawn is not seen: ground beside the view, and pixels that nobody wants."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from api.catalogue import find_level
+from terrain.gbuffer import id_buffer
+from terrain.gbuffer.antialias import multisampled
+from terrain.gbuffer.picture import RasterisedView
+from terrain.geo.camera import PerspectiveView
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+
+
+@pytest.fixture(scope="module")
+def landscape() -> Scene:
+    return build_scene(load_level(find_level("spatialace")))
+
+
+def part_of(scene: Scene, name: str) -> PerspectiveView:
+    view = scene.view(name)
+    assert isinstance(view, PerspectiveView)
+    return view.part(150, 200, 300, 400)
+
+
+@pytest.mark.parametrize("name", ["main", "overview", "close"])
+def test_ground_beside_the_view_is_not_missed(gl, landscape, monkeypatch, name):
+    view = part_of(landscape, name)
+    frame = view.frame(landscape.world)
+    some, counts = RasterisedView(landscape, view, frame).seen, []
+
+    def every(position, triangles, *args):
+        counts.append((len(id_buffer_in_view(position, triangles, *args)), len(triangles)))
+        return np.arange(len(triangles))
+
+    id_buffer_in_view = id_buffer._in_view
+    monkeypatch.setattr(id_buffer, "_in_view", every)
+    every_one = RasterisedView(landscape, view, frame).seen
+    assert all(0 < ahead < there for ahead, there in counts), counts
+    np.testing.assert_array_equal(some.number, every_one.number)
+    np.testing.assert_array_equal(some.depth, every_one.depth)
+
+
+def test_wanted_pixels_show_what_they_show_among_all(gl, landscape):
+    """And the others nothing."""
+    view = part_of(landscape, "main")
+    frame, wanted = view.frame(landscape.world), np.random.default_rng(5).random((view.rows, view.cols)) < 0.3
+    whole, some = RasterisedView(landscape, view, frame).seen, RasterisedView(landscape, view, frame, wanted=wanted).seen
+    assert (whole.number[wanted] > 0).mean() > 0.5
+    np.testing.assert_array_equal(some.number[wanted], whole.number[wanted])
+    np.testing.assert_array_equal(some.albedo_root[wanted], whole.albedo_root[wanted])
+    assert not some.number[~wanted].any()
+
+
+def test_what_a_view_shows_is_kept_under_another_sun(gl, landscape):
+    """But for no other view, and for no other second of the clock."""
+    view = part_of(landscape, "close")
+    shown = multisampled(landscape, view)
+    assert multisampled(landscape.with_sun(SunSpec(azimuth=90, altitude=40)), part_of(landscape, "close")) is shown
+    assert multisampled(landscape, view.shifted(0.5, 0.0)) is not shown
+    shown = multisampled(landscape, view)
+    later = landscape.at_second(2.0)
+    assert multisampled(later, view) is not shown
+    assert (multisampled(later, view).own.kind != shown.own.kind).any()
