@@ -21,12 +21,15 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import set_uniforms, shader
 from terrain.gbuffer.tree_instances import TREE_TRIANGLES, TreeInstances
 from terrain.geo.grid import MapView
-from terrain.gl.device import Device
+from terrain.gl.device import Device, device
 from terrain.level.level import CasterKind
 from terrain.scene import Scene
 from terrain.trees.foliage import THRESHOLD, foliage
 
 MapSettings = ShadowMapSettings | LampMapSettings | PerspectiveMapSettings
+
+ROOM_TEXELS = 512
+"""Textures of larger maps have sides that are multiples of this."""
 
 POLYGON_OFFSET = 1.1, 4.0
 """Factor of the slope and units of the smallest step that ``polygon_offset`` moves depths by: those of Cesium and QGIS."""
@@ -56,8 +59,8 @@ def draw_map(
         record.bytes = max(record.bytes, drawn.nbytes)
         return kept
     width, height = drawn.size
-    across, down = (3, 2) if len(drawn.faces) == 6 else (1, 1)
-    target = gl.depth_target(width * across, height * down, drawn.depth_bits)
+    across, down = drawn.texture_size
+    target = gl.depth_target(_with_room(across), _with_room(down), drawn.depth_bits)
     solid = gl.program(shader(drawn.shaders[0], "shadows/maps/depth.vert"), shader("shadows/maps/depth.frag"))
     set_uniforms(solid, drawn.uniforms)
     if trees is not None:
@@ -97,8 +100,13 @@ def draw_map(
 
 def depths(gl: Device, drawn: DepthMap, target: Framebuffer) -> np.ndarray:
     """A map as drawn, (rows, cols) float32: 0 nearest to the light, 1 where nothing casts; the light's up is at the top."""
-    texels = gl.read(target, -1)
+    texels = gl.read(target, -1, size=drawn.texture_size)
     return texels if drawn.uniforms["lamp"] else texels[::-1]
+
+
+def _with_room(side: int) -> int:
+    """A side of the texture that a map is drawn in: maps that follow a camera or the sun differ a little, and share one."""
+    return min(-(-side // ROOM_TEXELS) * ROOM_TEXELS, device().max_size) if side > ROOM_TEXELS else side
 
 
 def _culled(meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling) -> list[tuple[Mesh, bool]]:

@@ -59,6 +59,12 @@ class DepthMap:
     shaders: tuple[str, str] = ("shadows/maps/light", "shadows/maps/receiver")
 
     @property
+    def texture_size(self) -> tuple[int, int]:
+        """Texels across and down of all its faces together: six lie three beside one another, in two rows."""
+        across, down = (3, 2) if len(self.faces) == 6 else (1, 1)
+        return self.size[0] * across, self.size[1] * down
+
+    @property
     def is_uniform(self) -> bool:
         """Whether its texels are all of one size in the light's own space, rather than in the picture's."""
         return self.shaders == DepthMap.shaders

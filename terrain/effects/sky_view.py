@@ -159,7 +159,7 @@ def _left_of_sky(block: ShadingBlock) -> np.ndarray:
 @compiled
 def _hide(first, last, out, nodes, position, values, table, eye, tangent, width):
     """``tangent`` and ``width`` are a pixel's width at the distance 1, and at any distance, in nodes."""
-    level = pyramid_level(table, width)
+    level = finest = pyramid_level(table, width)
     for i in range(first, last):
         for j in range(out.shape[1]):
             row, col = nodes[i, j, 0], nodes[i, j, 1]
@@ -167,7 +167,8 @@ def _hide(first, last, out, nodes, position, values, table, eye, tangent, width)
                 continue
             if tangent > 0.0:
                 x, y, z = position[i, j, 0] - eye[0], position[i, j, 1] - eye[1], position[i, j, 2] - eye[2]
-                level = pyramid_level(table, tangent * np.sqrt(x * x + y * y + z * z))
+                wide = tangent * np.sqrt(x * x + y * y + z * z)
+                level = finest if wide <= 1.0 else pyramid_level(table, wide)  # in perspective ``width`` is 0
             out[i, j] = 1.0 - hidden_on(values, level, row, col)
 
 

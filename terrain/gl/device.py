@@ -330,17 +330,26 @@ class Device:
         self.render(array, vertices=3)
         array.release()
 
-    def read(self, target: moderngl.Framebuffer, attachment: int = 0, kind: str = "f4", components: int = 1) -> np.ndarray:
-        """Read an attachment (-1: the depth) as (rows, cols) or (rows, cols, components); row 0 is the first texel row.
+    def read(
+        self,
+        target: moderngl.Framebuffer,
+        attachment: int = 0,
+        kind: str = "f4",
+        components: int = 1,
+        size: tuple[int, int] | None = None,
+    ) -> np.ndarray:
+        """Read an attachment (-1: the depth) as (rows, cols) or (rows, cols, components), all of it or the first texels (across,
+        down); row 0 is the first texel row.
 
         ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for steps of 16-bit depths. Raises
         ``GraphicsError`` with the wrong context, so that a mistake can never return other memory's bytes.
         """
         self.require_current()
-        width, height = target.size
+        width, height = size or target.size
         shape = (height, width) if components == 1 else (height, width, components)
         out = np.zeros(shape, {"f4": np.float32, "u4": np.uint32, "f1": np.uint8, "u2": np.uint16}[kind])
-        target.read_into(out, components=components, attachment=attachment, dtype=kind, alignment=out.itemsize)
+        window = 0, 0, width, height
+        target.read_into(out, window, components=components, attachment=attachment, dtype=kind, alignment=out.itemsize)
         self.check("read")
         return out
 
