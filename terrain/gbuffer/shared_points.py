@@ -82,7 +82,7 @@ def _made_from(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ..
     return buffer.normal_frame, buffer.shading_normal_frame, buffer.crease, buffer.kind, buffer.lift_m, light
 
 
-@cached("light", 512 * MIB, key=_made_from)
+@cached("light", 512 * MIB, key=_made_from, most=8)
 def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
     """Which normals a light goes by; off the surface they mean nothing. The last ones are kept."""
     nowhere = np.zeros(buffer.there.shape, bool)
