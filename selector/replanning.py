@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from selector.choices import Choice, PlanRequest, PolicyName
+from selector.formatting import format_duration, format_list, format_percent
 from selector.planner.planner import make_plan
 from selector.portfolio import tuned_settings
 from selector.select import select
@@ -74,7 +75,7 @@ class PlanTransition:
 class PlanState:
     """What stands after a plan: the plan, its choices by light, what was asked; how many better plans in a row a switch takes, and
     how many there were; the choices that a switch leaves, with the share of the pixels that showed the new ones a frame ago, and by
-    how much it grows with the next.
+    how much it grows with the next. ``why`` other choices were taken with this plan, if they were.
     """
 
     plan: Plan
@@ -86,6 +87,7 @@ class PlanState:
     shown: float = 0.0
     step: float = 0.0
     handover: PlanTransition | None = None
+    why: str | None = None
 
 
 class Replanner:
@@ -131,6 +133,11 @@ class Replanner:
         """The switch that the last plan belongs to, if one is under way."""
         return None if self._standing is None else self._standing.handover
 
+    @property
+    def why(self) -> str | None:
+        """Why the last plan has other choices than the one before it, where it has."""
+        return None if self._standing is None else self._standing.why
+
 
 def next_state(
     state: PlanState | None,
@@ -146,14 +153,17 @@ def next_state(
     choices = choices_of(fresh)
     fresh = fresh.model_copy(update={"settings": make_plan(descriptor, plan_request, overrides, choices).settings})
     next_standing = PlanState(fresh, choices, request, PATIENCE)
-    if state is None or state.asked != request:
+    if state is None:
         return next_standing
+    if state.asked != request:
+        return replace(next_standing, why="something else is asked for, or another of the level's pins holds")
+    state = replace(state, why=None)
     try:
         kept = make_plan(descriptor, plan_request, overrides, state.choices)
         same_choices = _choices(choices_of(kept)) == _choices(choices)
         kept = fresh if same_choices else _judged(kept, descriptor, plan_request, overrides, plans)
-    except UnsupportedError:
-        return next_standing
+    except UnsupportedError as error:
+        return replace(next_standing, why=f"what was chosen cannot serve: {error.allowed}")
     state = replace(state, plan=kept)
     if state.handover is not None and state.left is not None:
         return _going_on(state, state.handover, state.left, descriptor, plan_request, overrides)
@@ -165,6 +175,7 @@ def next_state(
         return replace(state, better_for=0)
     if not unpicked and state.better_for + 1 < state.patience and _miss(kept) - _miss(fresh) <= IMMEDIATE_SWITCH:
         return replace(state, better_for=state.better_for + 1)
+    next_standing = replace(next_standing, why=_why(fresh, kept, unpicked, state.better_for + 1))
     next_standing = next_standing if unpicked else replace(next_standing, patience=2 * state.patience)
     if unpicked == cast:  # nothing of it was drawn before: there is nothing to hand over
         return next_standing
@@ -199,6 +210,20 @@ def is_better(fresh: Plan, kept: Plan) -> bool:
     if _miss(kept) > _miss(fresh):
         return _miss(kept) - _miss(fresh) > SWITCH_ERROR_GAIN
     return _miss(kept) == _miss(fresh) and fresh.predicted.ms < (1.0 - SWITCH_TIME_GAIN) * kept.predicted.ms
+
+
+def _why(fresh: Plan, kept: Plan, unpicked: set[tuple[str, CasterKind]], plans_in_a_row: int) -> str:
+    """Why a plan is taken instead of the one that was kept."""
+    if unpicked:
+        return f"shadows of {format_list(sorted({kind for _, kind in unpicked}))}, for which nothing was chosen yet"
+    if fresh.predicted is None or kept.predicted is None:
+        return f"the rules take it, for {plans_in_a_row} frames in a row"
+    expected = [
+        f"{format_duration(plan.predicted.ms)} and {format_percent(plan.predicted.wrong_cast)} wrong"
+        for plan in (fresh, kept)
+        if plan.predicted is not None
+    ]
+    return f"{expected[0]} expected instead of {expected[1]}, for {plans_in_a_row} frames in a row"
 
 
 def transition_frames(kept: Plan, fresh: Plan) -> int:
@@ -238,7 +263,7 @@ def _order(rows: int, cols: int) -> np.ndarray:
     return (row / 1.32471795724474602596 + col / 1.32471795724474602596**2) % 1.0
 
 
-def casting(plan: Plan) -> dict[str, frozenset[str]]:
+def casting(plan: Plan) -> dict[str, frozenset[CasterKind]]:
     """The kinds of casters that cast, by light."""
     return {light: frozenset(kind for kind, name in kinds.items() if name != NO_SHADOWS) for light, kinds in plan.algorithm.items()}
 

@@ -62,11 +62,69 @@ def replaced_whole(path: Path) -> Iterator[Path]:
         number = error.errno or errno.EIO
         raise OSError(number, error.strerror or str(error) or os.strerror(number), str(path)) from error
     finally:
-        try:
-            shutil.rmtree(folder, ignore_errors=True)
-        except BaseException:  # an interrupt just now
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
+        _remove(folder)
+
+
+@contextmanager
+def replaced_together(folder: Path) -> Iterator[Path]:
+    """Where to write files that shall lie in ``folder`` together: a folder for this alone, in it, or beside where it shall be.
+
+    When the block has ended the files are synced to the disk and take their places, all of them or none. ``folder`` itself is made
+    if need be. Raises ``OSError`` with the path: also where the block raises one.
+    """
+    target = folder.resolve()
+    beside = f"{_beside(target)}{secrets.token_hex(4)}"
+    is_new = not target.is_dir()
+    part = (target.parent if is_new else target) / beside
+    try:
+        part.mkdir()
+        yield part
+        for path in part.iterdir():
+            _sync(path)
+        if is_new:
+            os.replace(part, target)
+        else:
+            _move_all(part, target)
+        with suppress(OSError):  # a folder that may not be read: the files are there
+            _sync(target)
+    except OSError as error:
+        if error.filename is not None and beside not in str(error.filename):
+            raise  # of another file
+        number = error.errno or errno.EIO
+        raise OSError(number, error.strerror or str(error) or os.strerror(number), str(folder)) from error
+    finally:
+        _remove(part)
+
+
+def _move_all(part: Path, target: Path) -> None:
+    """Move all files of a folder into another one on the same disk, or none of them: those of before are kept until it is done."""
+    kept = part / ".before"
+    moved: list[Path] = []
+    names = sorted(path.name for path in part.iterdir())
+    for name in names:
+        if (target / name).is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target / name))
+    kept.mkdir()
+    try:
+        for name in names:
+            with suppress(FileNotFoundError):
+                os.replace(target / name, kept / name)
+            moved.append(target / name)
+            os.replace(part / name, target / name)
+    except BaseException:
+        for path in moved:
+            path.unlink(missing_ok=True)
+        for path in kept.iterdir():
+            os.replace(path, target / path.name)
+        raise
+
+
+def _remove(folder: Path) -> None:
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    except BaseException:  # an interrupt just now
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 def forget_halves(path: Path) -> None:

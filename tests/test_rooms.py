@@ -29,6 +29,7 @@ MAY_IMPORT = {
     "terrain.own_sun": "geo ground level",
     "terrain.viewpoint": "geo ground level",
     "terrain.style": "level",
+    "terrain.camera_path": "geo ground level",
     "terrain.scene": "geo ground level lights own_sun scene_objects style",
     "terrain.gl": "",
     "terrain.gbuffer": "geo gl ground level lights meshes scene scene_objects trees",
@@ -81,7 +82,8 @@ MAY_IMPORT = {
     "selector.map_probes": "options",
     "selector.kept_probes": "cost map_probes",
     "selector.select": "choices cost measure options planner predict",
-    "selector.replanning": "choices cost planner portfolio select",
+    "selector.replanning": "choices cost formatting planner portfolio select",
+    "selector.film": "formatting replanning",
     "api.errors": "",
     "api.png": "",
     "api.terrain_encodings": "",
@@ -94,6 +96,8 @@ MAY_IMPORT = {
     "api.raster_file": "",
     "api.overviews": "raster_file",
     "api.stac_item": "raster_file",
+    "api.film_span": "",
+    "api.film_files": "png",
     "api.shade": "device_calibration layers raster_file",
     "api.contour_lines": "",
     "api.color_scale": "",
@@ -103,13 +107,13 @@ MAY_IMPORT = {
     "api.map_probing": "",
     "api.file_stamps": "",
     "api.workers": "device_calibration errors layers map_probing point settings sun_hours_layer",
-    "api.library": "catalogue device_calibration layers point raster_file shade sun_hours",
+    "api.library": "catalogue device_calibration film_span layers point raster_file shade sun_hours",
     "api.matrices": "errors workers",
     "api.seed": "device_calibration errors file_stamps layers matrices settings workers",
     "api.http": "color_scale errors file_stamps layers matrices point settings shadow_parameters sun_hours_layer workers",
     "api.cli": (
-        "catalogue device_calibration errors file_stamps http layers map_probing matrices overviews point raster_file report seed "
-        "settings shade shadow_parameters stac_item sun_hours workers"
+        "catalogue device_calibration errors file_stamps film_files film_span http layers map_probing matrices overviews point "
+        "raster_file report seed settings shade shadow_parameters stac_item sun_hours workers"
     ),
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""

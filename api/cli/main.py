@@ -122,7 +122,12 @@ def serve(
 @with_shadow_options("render")
 def render(
     level: LevelSource,
-    output: Annotated[Path, typer.Option("-o", "--output", help="File to write; the suffix sets the format.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", help="File to write; the suffix sets the format. Of a film: .webp, .mp4 or frames/%04d.png."
+        ),
+    ],
     view: ViewOption = "map",
     layer: LayerName = "color",
     time: TimeOption = None,
@@ -135,14 +140,32 @@ def render(
     style: StyleOption = None,
     slope_exaggeration: SlopeExaggerationOption = None,
     seconds: SecondsOption = None,
+    start: Annotated[
+        str | None, typer.Option("--from", metavar="TIME", help="Of a film: the first time, or a reading of the clock as 0s, ...")
+    ] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="... the last one, ...")] = None,
+    step: Annotated[str | None, typer.Option(metavar="10m", help="... and what lies between two frames: as 30s, 10m, 1h.")] = None,
+    path: Annotated[
+        Path | None, typer.Option(metavar="CAMERA.yaml", help="Key positions with times of a camera that moves: a film.")
+    ] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames a second of a film that plays; default: 25.")] = None,
     stats: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach as JSON.")
     ] = None,
     **asked: Any,
 ) -> None:
-    """Render one snapshot of a level's view into a file."""
+    """Render one snapshot of a level's view into a file; or a film, under a sun or along a path that moves."""
+    from api.cli.film import FilmOptions, render_film
     from api.cli.snapshot import Appearance, snapshot, statistics
 
+    film = FilmOptions(start, end, step, path, fps)
+    if film.given:
+        if light is not None:
+            raise InputError("--light", light, f"nothing beside {film.given[0]}: films are of all lights")
+        sun, look = parse_sun(time, azimuth, altitude), Appearance(style, slope_exaggeration)
+        view_options = _size(size), _bounds(bounds), crs, seconds
+        render_film(level, output, film, view, layer, sun, overrides_of("render", asked), *view_options, look, stats)
+        return
     check_suffix(layer, output)
     check_targets(level, [("--output", output), ("--stats", stats)])
     overrides = overrides_of("render", asked)

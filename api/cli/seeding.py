@@ -12,10 +12,10 @@ from typing import IO, TYPE_CHECKING, Any
 import typer
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from api.cli.outputs import check_targets
+from api.cli.progress import LinesOverBar
 from api.cli.times import TIME_WORD, paths_by_time, suns_of
 from api.matrices import ZoomRange
 from api.seed.drawing import check_seeded_format
@@ -199,23 +199,21 @@ class _Shown:
 
     def __init__(self, log: Path, quiet: bool) -> None:
         self._log, self._quiet = log, quiet
-        self._bar: Progress | None = None
+        self._lines = LinesOverBar("Drawing")
         self._file: IO[str] | None = None
-        self._console = Console(stderr=True)
 
     def __enter__(self) -> _Shown:
+        self._lines.__enter__()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+    def __exit__(self, *error: object) -> None:
+        self._lines.__exit__(*error)
         if self._file is not None:
             self._file.close()
 
     def say(self, text: str) -> None:
         """What is done before the first task."""
-        if self._console.is_terminal:
-            self._console.print(text, style="dim")
+        self._lines.say(text)
 
     def note(self, done: TaskEnd) -> None:
         """A task has ended."""
@@ -258,15 +256,6 @@ class _Shown:
         self._file.flush()
 
     def _line(self, text: str, done: TaskEnd) -> None:
-        if self._quiet:
-            return
-        if not self._console.is_terminal:
-            typer.echo(text, err=True)
-            return
-        if self._bar is None:
-            columns = TextColumn("Drawing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-            self._bar = Progress(*columns, console=self._console, transient=True)
-            self._row = self._bar.add_task("", total=done.total)
-            self._bar.start()
-        self._bar.console.print(text, highlight=False, markup=False)
-        self._bar.update(self._row, completed=done.done, total=done.total)
+        if not self._quiet:
+            self._lines.line(text)
+            self._lines.advance(done.done, done.total)

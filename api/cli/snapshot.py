@@ -67,11 +67,16 @@ def scene_and_view(
     seconds: float | None = None,
 ) -> tuple[Scene, MapView | PerspectiveView]:
     """A level's scene under a sun, at a second of its clock, and one of its views. Raises ``SkuggaError``."""
-    if seconds is not None and not abs(seconds) <= MOST_SECONDS:
-        raise InputError("--seconds", seconds, f"seconds of the clock, {-MOST_SECONDS:g} to {MOST_SECONDS:g}")
+    check_seconds(seconds)
     scene = build_scene(load_level(level)).with_sun(sun).at_second(seconds)
     say_warnings(scene)
     return scene, scene.view(view, bounds, crs, size)
+
+
+def check_seconds(seconds: float | None) -> None:
+    """Raise ``InputError`` for a reading that the clock of what moves does not have."""
+    if seconds is not None and not abs(seconds) <= MOST_SECONDS:
+        raise InputError("--seconds", seconds, f"seconds of the clock, {-MOST_SECONDS:g} to {MOST_SECONDS:g}")
 
 
 def statistics(scene: Scene, frame: Frame) -> dict[str, Any]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from terrain.errors import InputError
+from terrain.level.durations import DURATION_WORDS, parse_duration
 from terrain.level.level import parse_sun
 from terrain.level.parts import SunSpec
 
@@ -15,8 +15,6 @@ MOST_TIMES = 10_000
 
 TIME_WORD = "{time}"
 """Stands for the time in a file's name."""
-
-_UNITS = {"s": "seconds", "m": "minutes", "h": "hours", "d": "days"}
 
 
 def suns_of(
@@ -71,10 +69,12 @@ def _moment(name: str, text: str) -> datetime:
     return sun.time
 
 
-def duration_of(name: str, text: str) -> timedelta:
+def duration_of(name: str, text: str, least_s: float = 1.0) -> timedelta:
     """A length of time, as 15m. Raises ``InputError``, which names the option."""
-    found = re.fullmatch(r"(\d{1,6}(?:\.\d{1,6})?)([smhd])", text.strip())
-    length = timedelta(**{_UNITS[found[2]]: float(found[1])}) if found else timedelta(0)
-    if length < timedelta(seconds=1):
-        raise InputError(name, text, "a number and s, m, h or d, as 15m; at least 1s")
+    try:
+        length = parse_duration(text)
+    except ValueError:
+        length = timedelta(0)
+    if length < timedelta(seconds=least_s):
+        raise InputError(name, text, f"{DURATION_WORDS}; at least {least_s:g}s")
     return length

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
@@ -16,17 +17,21 @@ from rasterio.io import MemoryFile
 
 from api.catalogue import find_level
 from api.device_calibration import calibration_for
+from api.film_span import USUAL_FPS, film_span
 from api.layers import PASS_LAYERS, frame_layer
 from api.library.tile_service import TileService
 from api.point.report import PointQuery, PointReport, around_point, point_report
 from api.shade import Bounds, raster_view, shade_array, transform_of
 from api.sun_hours import sun_hours_array
+from selector.film import FilmRequest, film_frames, frame_moments
+from selector.replanning import Replanner
 from selector.select import plan_of_view
 from shadows.point.horizon import PointHorizon, horizon_round
 from shadows.render import render_frame
 from shadows.sun_hours.sun_hours import SunRules
 from terrain.geo.clock import clock_named, date_of
 from terrain.geo.daily_windows import readings_of, windows_asked
+from terrain.level.camera_file import load_camera_path
 from terrain.level.level import load_level, parse_sun
 from terrain.level.level_source import LevelSource, units_named
 from terrain.level.parts import SunSpec
@@ -105,6 +110,41 @@ class OpenLevel:
         plan = plan_of_view(scene, seen, view, shadows, device=device)
         kept = frozenset(pass_layer for pass_layer in PASS_LAYERS if pass_layer == layer)
         return frame_layer(scene, render_frame(scene, seen, plan, None, kept), layer)
+
+    def film(
+        self,
+        view: str = "map",
+        *,
+        start: Time | None = None,
+        end: Time | None = None,
+        step: str | None = None,
+        path: Path | None = None,
+        fps: float = USUAL_FPS,
+        time: Time | None = None,
+        azimuth: float | None = None,
+        altitude: float | None = None,
+        size: tuple[int, int] | None = None,
+        bounds: Bounds | None = None,
+        crs: str | None = None,
+        seconds: float | None = None,
+        style: str | None = None,
+        slope_exaggeration: float | None = None,
+        **shadows: Any,
+    ) -> Iterator[np.ndarray]:
+        """The pictures of a film, uint8 (rows, cols, 3), each drawn when it is taken; all are looked at before this returns.
+
+        ``start`` and ``end`` are times (with an offset from UTC, or datetime64 in UTC), between which the sun moves, or readings of
+        the level's clock as ``0s``, under a sun that rests; ``step`` is what lies between two pictures, as ``10m``. ``path`` is a
+        camera file: a camera that moves. ``fps`` pictures a second make the step of a film that plays at its own pace. The rest is
+        as in ``render``. Raises ``SkuggaError``.
+        """
+        way = None if path is None else load_camera_path(path)
+        span = film_span(_iso(start), _iso(end), step, fps, way, seconds)
+        scene = self._scene.with_sun(_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration)
+        request = FilmRequest(span, view, way, size, bounds, crs, shadows)
+        moments = frame_moments(scene, request)
+        replanner = Replanner(device=calibration_for(scene.loaded.level.shadows, shadows))
+        return (frame.color for frame in film_frames(scene, request, moments, replanner))
 
     def shade(
         self,
@@ -280,9 +320,13 @@ def open_heights(height_m: np.ndarray, transform: Affine, crs: Any) -> OpenLevel
 
 
 def _sun(time: Time | None, azimuth: float | None, altitude: float | None) -> SunSpec | None:
+    return parse_sun(_iso(time), azimuth, altitude)
+
+
+def _iso(time: Time | None) -> str | None:
     if isinstance(time, np.datetime64):
-        time = f"{np.datetime_as_string(time, unit='s')}Z"
-    return parse_sun(time.isoformat() if isinstance(time, datetime.datetime) else time, azimuth, altitude)
+        return f"{np.datetime_as_string(time, unit='s')}Z"
+    return time.isoformat() if isinstance(time, datetime.datetime) else time
 
 
 def _day(name: str, day: datetime.date | str) -> datetime.date:

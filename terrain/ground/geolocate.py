@@ -28,14 +28,23 @@ class Geolocator:
         x, y = transformer(LONGITUDE_LATITUDE, self.elevation.crs).transform(*at)
         return float(x), float(y)
 
+    def ground_m(self, at: tuple[float, float]) -> float:
+        """The ground's height at a place, metres; NaN off its data."""
+        x, y = self.xy(at)
+        return float(self.elevation.ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
+
+    def at_height(self, at: tuple[float, float], height_m: float) -> tuple[np.ndarray, np.ndarray]:
+        """Earth-fixed point (3,) at a place and a height above the datum, and the vertical there."""
+        x, y = self.xy(at)
+        point, up = self.world.ground(self.elevation.crs, np.float64(x), np.float64(y))
+        return point + height_m * up, up
+
     def above_ground(self, position: tuple[float, float, float], where: str) -> tuple[np.ndarray, np.ndarray]:
         """Earth-fixed point (3,) at a height above the ground at a place, and the vertical there.
 
         Raises ``LevelError``, naming ``where``, off the ground's data.
         """
-        x, y = self.xy(position[:2])
-        ground_m = float(self.elevation.ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
+        ground_m = self.ground_m(position[:2])
         if not np.isfinite(ground_m):
             raise LevelError(where, position, "a position on the terrain's data")
-        point, up = self.world.ground(self.elevation.crs, np.float64(x), np.float64(y))
-        return point + (ground_m + position[2]) * up, up
+        return self.at_height(position[:2], ground_m + position[2])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from terrain.whole_files import forget_halves, replaced_whole, write_whole
+from terrain.whole_files import forget_halves, replaced_together, replaced_whole, write_whole
 
 
 def names(folder):
@@ -109,6 +109,78 @@ def test_an_error_of_another_file_keeps_its_name(tmp_path):
     assert caught.value.filename == str(tmp_path / "missing.txt")
 
 
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def write_three(folder: Path, content: bytes) -> None:
+    with replaced_together(folder) as part:
+        for name in "abc":
+            (part / name).write_bytes(content)
+
+
+def test_files_that_belong_together_are_written_together(tmp_path):
+    folder = tmp_path / "new"
+    write_three(folder, b"first")
+    (folder / "d").write_bytes(b"mine")
+    (folder / "b").unlink()
+    write_three(folder, b"second")
+    assert contents(folder) == {**dict.fromkeys("abc", b"second"), "d": b"mine"} and names(tmp_path) == ["new"]
+    (tmp_path / "usual").mkdir()
+    assert stat.S_IMODE(folder.stat().st_mode) == stat.S_IMODE((tmp_path / "usual").stat().st_mode)
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+@pytest.mark.parametrize("is_there", [True, False])
+def test_what_ends_the_writing_of_files_leaves_those_that_were_there(tmp_path, error, is_there):
+    folder = tmp_path / "frames"
+    if is_there:
+        write_three(folder, b"old")
+    with pytest.raises(error), replaced_together(folder) as part:
+        (part / "a").write_bytes(b"new")
+        raise error
+    assert names(tmp_path) == (["frames"] if is_there else [])
+    assert not is_there or contents(folder) == dict.fromkeys("abc", b"old")
+
+
+@pytest.mark.parametrize("call", range(7))
+def test_what_ends_the_moving_of_files_moves_them_back(tmp_path, call, monkeypatch):
+    """At any of the moves: of a, of b, which was not there, and of c."""
+    folder, calls, replace = tmp_path / "frames", [], os.replace
+    write_three(folder, b"old")
+    (folder / "b").unlink()
+
+    def interrupted(source, target):
+        calls.append(source)
+        if len(calls) == call + 1:
+            raise KeyboardInterrupt
+        replace(source, target)
+
+    monkeypatch.setattr("terrain.whole_files.os.replace", interrupted)
+    if call < 6:
+        with pytest.raises(KeyboardInterrupt):
+            write_three(folder, b"new")
+        assert contents(folder) == dict.fromkeys("ac", b"old")
+    else:
+        write_three(folder, b"new")
+        assert contents(folder) == dict.fromkeys("abc", b"new")
+
+
+def test_a_folder_in_the_place_of_a_file_is_no_file(tmp_path):
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "mine").write_bytes(b"mine")
+    with pytest.raises(IsADirectoryError) as caught:
+        write_three(tmp_path, b"new")
+    assert caught.value.filename == str(tmp_path / "b") and names(tmp_path) == ["b"] and names(tmp_path / "b") == ["mine"]
+
+
+def test_a_disk_that_fills_up_while_files_are_written(tmp_path, full_disk):
+    write_three(tmp_path, b"old")
+    with full_disk(1000), pytest.raises(OSError, match="large") as caught:
+        write_three(tmp_path, bytes(5000))
+    assert caught.value.filename == str(tmp_path) and contents(tmp_path) == dict.fromkeys("abc", b"old")
+
+
 def test_this_module_needs_nothing_but_the_standard_library():
     code = "import sys, terrain.whole_files; print('numpy' in sys.modules or 'rasterio' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -120,6 +192,7 @@ TEMPORARY = {
     "api/library/opened_level.py": "a raster of its own that its service reads",
     "api/raster_file.py": "inside of what replaces a file",
     "api/layers.py": "inside of what replaces a file",
+    "api/film_files.py": "inside of what replaces files",
     "api/contour_lines.py": "inside of what replaces a file",
     "api/point/polar_picture.py": "into memory",
     "api/color_scale.py": "into memory",

@@ -72,6 +72,18 @@ def test_an_open_raster_is_shaded_and_drawn(gl, height_m, tmp_path):
         assert (by_time[0] != mask).any()
 
 
+def test_a_film_is_a_row_of_pictures(gl, height_m):
+    with skugga.open_heights(height_m, Affine(CELL_M, 0, 500e3, 0, -CELL_M, 5200e3), "EPSG:32633") as level:
+        start, size = datetime.fromisoformat("2024-03-21T09:00:00+01:00"), (48, 32)
+        pictures = list(level.film(start=start, end="2024-03-21T11:00:00+01:00", step="1h", size=size))
+        assert [picture.shape for picture in pictures] == [(32, 48, 3)] * 3
+        for number, picture in enumerate(pictures):
+            still = level.render(time=start.replace(hour=9 + number), size=size)
+            np.testing.assert_array_equal(picture, np.where(still[..., 3:] > 0, still[..., :3], picture))
+        with pytest.raises(skugga.SkuggaError, match="step: missing"):  # before a picture is taken
+            level.film(start=start, end=start)
+
+
 def test_an_array_of_heights_is_a_level(height_m, tmp_path):
     with skugga.open_heights(height_m, Affine(CELL_M, 0, 500e3, 0, -CELL_M, 5200e3), "EPSG:32633") as level:
         visibility = level.shade("visibility", **LOW)

@@ -1,0 +1,134 @@
+"""``skugga render`` of a film: from its options to a file, and what it shows meanwhile."""
+
+from __future__ import annotations
+
+import json
+import time as clock
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from api.cli.outputs import check_targets
+from api.cli.progress import LinesOverBar
+from api.cli.snapshot import Appearance, check_seconds
+from api.cli.warnings import say_own_sun, say_warnings
+from api.device_calibration import calibration_for
+from api.film_files import check_film_path, film_files, write_film
+from api.film_span import USUAL_FPS, film_span
+from selector.film import FilmFrame, FilmRequest, film_frames, frame_moments
+from selector.replanning import Replanner
+from terrain.errors import InputError, printable
+from terrain.level.camera_file import load_camera_path
+from terrain.level.level import load_level
+from terrain.level.level_source import LevelSource
+from terrain.level.parts import SunSpec
+from terrain.scene import build_scene
+from terrain.whole_files import write_whole
+
+
+@dataclass(frozen=True)
+class FilmOptions:
+    """The options that make a picture a film, as they were given."""
+
+    start: str | None
+    end: str | None
+    step: str | None
+    path: Path | None
+    fps: float | None
+
+    @property
+    def given(self) -> list[str]:
+        """Their names."""
+        values = {"--from": self.start, "--to": self.end, "--step": self.step, "--path": self.path, "--fps": self.fps}
+        return [name for name, value in values.items() if value is not None]
+
+
+def render_film(
+    level: LevelSource,
+    output: Path,
+    options: FilmOptions,
+    view: str,
+    layer: str,
+    sun: SunSpec | None,
+    overrides: dict[str, Any],
+    size: tuple[int, int] | None = None,
+    bounds: tuple[float, float, float, float] | None = None,
+    crs: str | None = None,
+    seconds: float | None = None,
+    look: Appearance = Appearance(),  # noqa: B008  # immutable
+    stats: Path | None = None,
+) -> None:
+    """Draw a film of a level into a file; all its frames are looked at before the first is drawn. Raises ``SkuggaError`` and
+    ``OSError``.
+    """
+    if layer != "color":
+        raise InputError("--layer", layer, "color: films are of what is seen")
+    if options.path is not None and view != "map":
+        raise InputError("--view", view, "nothing beside --path, which says where the camera is")
+    check_targets(level, [("--stats", stats)], options.path)
+    check_seconds(seconds)
+    path = None if options.path is None else load_camera_path(options.path)
+    fps = USUAL_FPS if options.fps is None else options.fps
+    span = film_span(options.start, options.end, options.step, fps, path, seconds)
+    if sun is not None and span.start is not None:
+        raise InputError("--time", "given", "one way to say when: --from is there already")
+    scene = build_scene(load_level(level)).with_sun(sun)
+    try:
+        say_warnings(scene)
+        if sun is None and span.start is None:
+            say_own_sun(scene)
+        scene = scene.with_style(*look)
+        request = FilmRequest(span, view, path, size, bounds, crs, overrides)
+        moments = frame_moments(scene, request)
+        check_film_path(output, len(moments), (moments[0].view.cols, moments[0].view.rows))
+        there = [each for each in film_files(output, len(moments)) if each.exists()]
+        check_targets(level, [("--output", each) for each in there], options.path)
+        replanner = Replanner(device=calibration_for(scene.loaded.level.shadows, overrides))
+        with LinesOverBar("Filming") as shown:
+            told = _Told(shown, len(moments))
+            write_film(output, told.colors(film_frames(scene, request, moments, replanner)), len(moments), fps)
+        if stats is not None:
+            write_whole(stats, json.dumps({"level": scene.loaded.name, "fps": fps, **told.statistics}, indent=2) + "\n")
+    finally:
+        scene.close()
+
+
+class _Told:
+    """Frames on their way to a file, and what is told of them."""
+
+    def __init__(self, shown: LinesOverBar, total: int) -> None:
+        self._shown, self._total = shown, total
+        self.statistics: dict[str, list[dict[str, Any]]] = {"frames": [], "switches": []}
+
+    def colors(self, frames: Iterator[FilmFrame]) -> Iterator[np.ndarray]:
+        begin = clock.perf_counter()
+        for frame in frames:
+            drawn_s, moment = clock.perf_counter() - begin, frame.moment
+            if frame.switch is not None:
+                switch = frame.switch
+                self._shown.line(printable(f"{moment.words}: {switch.after} instead of {switch.before}: {switch.why}"))
+            if not self._shown.on_terminal:
+                typer.echo(f"[{moment.number + 1}/{self._total}] {moment.words}: {frame.plan.headline}, {drawn_s:.2f} s", err=True)
+            self._note(frame, drawn_s)
+            yield frame.color
+            self._shown.advance(moment.number + 1, self._total)
+            begin = clock.perf_counter()
+
+    def _note(self, frame: FilmFrame, drawn_s: float) -> None:
+        moment = frame.moment
+        self.statistics["frames"].append({
+            "frame": moment.number + 1,
+            "time": None if moment.time is None else moment.time.isoformat(),
+            "seconds": moment.second,
+            "algorithm": frame.plan.headline,
+            "share": 1.0 if frame.handover is None else frame.handover.share,
+            "ms": 1000.0 * drawn_s,
+        })  # fmt: skip
+        if frame.switch is not None:
+            switch = frame.switch
+            said = {"frame": switch.number + 1, "before": switch.before, "after": switch.after, "why": switch.why}
+            self.statistics["switches"].append(said)

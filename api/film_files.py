@@ -1,0 +1,163 @@
+"""Films as files: animated WebP, MP4, and sequences of PNG, each written whole or not at all, one frame at a time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from api.png import encode_png
+from terrain.errors import Fault, InputError
+from terrain.whole_files import replaced_together, replaced_whole
+
+SEQUENCE_SUFFIX = ".png"
+FILM_SUFFIXES = ".webp", ".mp4"
+FILM_WORDS = "a film: day.webp (lossless), day.mp4, or frames as frames/%04d.png"
+
+MOST_WEBP_PX = 16383
+"""A side of what WebP holds."""
+
+WEBP_METHOD, WEBP_EFFORT = 2, 50
+"""How hard lossless WebP looks for what is smaller: more takes longer, and gains one per cent (docs/films.md)."""
+
+MP4_QUALITY = "17"
+"""x264's constant rate factor: what is lost is hardly seen."""
+
+TICKS_PER_S = 90_000
+"""Of the clock that frames of an MP4 are shown by."""
+
+_BT709 = 1
+"""In the tables of H.273: primaries, transfer and matrix."""
+
+_NUMBER = re.compile(r"%(?:0([1-9]))?d")
+
+
+def check_film_path(path: Path, frames: int, size: tuple[int, int]) -> None:
+    """Look at where a film shall be written, before any frame is drawn; ``size`` is (width, height).
+
+    Raises ``InputError`` for a name that no film can have, for frames of a longer film that would stay among these, and where the
+    encoder is missing; ``FileNotFoundError`` where there is no folder.
+    """
+    suffix, is_sequence = path.suffix.lower(), "%" in path.name
+    if suffix not in (*FILM_SUFFIXES, SEQUENCE_SUFFIX):
+        raise InputError("output", str(path), FILM_WORDS)
+    if (suffix == SEQUENCE_SUFFIX or is_sequence) and (
+        suffix != SEQUENCE_SUFFIX or len(_NUMBER.findall(path.name)) != 1 or path.name.count("%") != 1
+    ):
+        raise InputError("output", str(path), f"a name with one number for {frames} frames, as frames/%04d.png")
+    if suffix == ".webp" and max(size) > MOST_WEBP_PX:
+        raise InputError("size", f"{size[0]}x{size[1]}", f"at most {MOST_WEBP_PX} a side in a .webp")
+    if suffix == ".mp4":
+        _av()
+    folder = path.parent if suffix in FILM_SUFFIXES else path.parent.parent
+    if not folder.is_dir():
+        raise FileNotFoundError(2, "folder not found", str(path))
+    if is_sequence and (longer := _later_frames(path, frames)):
+        raise InputError("output", str(path), f"a folder without frames of a longer film: {longer[0]} is there")
+
+
+def film_files(path: Path, frames: int) -> list[Path]:
+    """The files of a film: one, or one for each frame."""
+    if path.suffix.lower() in FILM_SUFFIXES:
+        return [path]
+    return [path.with_name(path.name % number) for number in range(1, frames + 1)]
+
+
+def write_film(path: Path, colors: Iterable[np.ndarray], frames: int, fps: float) -> None:
+    """Write a film of ``frames`` pictures, uint8 (rows, cols, 3), which are taken one after the other.
+
+    WebP and PNG lose nothing. An MP4 is H.264 in BT.709 of limited range with halved chroma; since that takes even sides, the last
+    row and the last column of odd ones are there twice. Whatever ends this early leaves what lay there before.
+
+    Raises ``OSError`` with the path, and what ``colors`` raises.
+    """
+    if path.suffix.lower() == SEQUENCE_SUFFIX:
+        with replaced_together(path.parent) as folder:
+            for file, color in zip(film_files(path, frames), colors, strict=True):
+                (folder / file.name).write_bytes(encode_png(color))
+        return
+    with replaced_whole(path) as part:
+        if path.suffix.lower() == ".webp":
+            _write_webp(part, iter(colors), frames, fps)
+        else:
+            _write_mp4(part, colors, fps)
+
+
+def _write_webp(path: Path, colors: Iterator[np.ndarray], frames: int, fps: float) -> None:
+    options = {
+        "save_all": True,
+        "lossless": True,
+        "method": WEBP_METHOD,
+        "quality": WEBP_EFFORT,
+        "duration": 1000.0 / fps,
+        "loop": 0,
+    }
+    with path.open("wb") as file:  # Pillow leaves a file open that it has opened itself, where it is interrupted
+        _Sequence(colors, frames).save(file, "WEBP", **options)
+    next(colors, None)  # whoever makes them learns that the last one was taken
+
+
+class _Sequence(Image.Image):
+    """Pictures that Pillow takes one at a time: it would make a list of others."""
+
+    def __init__(self, colors: Iterator[np.ndarray], frames: int) -> None:
+        super().__init__()
+        self.n_frames = frames
+        self._colors, self._at = colors, 0
+        self._load()
+
+    def seek(self, frame: int) -> None:
+        """Go on to the next frame; there is no way back."""
+        if frame == self._at + 1:
+            self._at = frame
+            self._load()
+
+    def tell(self) -> int:
+        """The number of the frame."""
+        return self._at
+
+    def _load(self) -> None:
+        picture = Image.fromarray(next(self._colors))
+        self.im, self._mode, self._size = picture.im, picture.mode, picture.size
+
+
+def _write_mp4(path: Path, colors: Iterable[np.ndarray], fps: float) -> None:
+    av = _av()
+    with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
+        stream = None
+        for number, color in enumerate(colors):
+            color = np.pad(color, ((0, color.shape[0] % 2), (0, color.shape[1] % 2), (0, 0)), "edge")
+            if stream is None:
+                stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
+                stream.height, stream.width = color.shape[:2]
+                stream.pix_fmt = "yuv420p"
+                stream.options = {"crf": MP4_QUALITY, "preset": "medium"}
+                context = stream.codec_context
+                context.color_primaries = context.color_trc = context.colorspace = context.color_range = _BT709
+            frame = av.VideoFrame.from_ndarray(color, format="rgb24").reformat(format="yuv420p", dst_colorspace="ITU709")
+            frame.pts = number
+            container.mux(stream.encode(frame))
+        assert stream is not None
+        container.mux(stream.encode(None))
+
+
+def _later_frames(path: Path, frames: int) -> list[Path]:
+    """Files of a sequence's folder that would be taken for frames after its last one."""
+    before, after = _NUMBER.split(path.name)[0], path.name[path.name.rindex("d", 0, -len(path.suffix)) + 1 :]
+    pattern = re.compile(re.escape(before) + "([0-9]+)" + re.escape(after))
+    found = ((pattern.fullmatch(each.name), each) for each in path.parent.glob("*"))
+    return sorted(each for match, each in found if match and int(match[1]) > frames and each.name == path.name % int(match[1]))
+
+
+def _av() -> Any:
+    """PyAV. Raises ``InputError`` where it is not installed."""
+    try:
+        import av
+    except ImportError:
+        raise InputError("output", Fault("this machine has no encoder of .mp4"), "pip install 'skugga[film]', or a .webp") from None
+    return av

@@ -1,0 +1,219 @@
+"""Films: a sun that moves, a camera that moves, or both, drawn frame by frame.
+
+A film has one time, that of the scene: the sun, the clock of what moves, and the camera go by it. Frame ``n`` is ``n`` steps after
+the first one. Plans are a ``Replanner``'s: a choice of algorithms stays while it serves, and a switch is spread over some frames.
+Any other frame is, to the bit, the picture that ``render_frame`` makes of its moment with its plan.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from typing import Any
+
+import numpy as np
+
+from selector.formatting import format_list
+from selector.replanning import PlanTransition, Replanner, casting, choices_of, mixed_pictures
+from shadows.plan import Plan
+from shadows.render import Frame, render_frame
+from terrain.camera_path import camera_path
+from terrain.describe import describe
+from terrain.errors import InputError
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.level.camera_file import CameraPathSpec
+from terrain.level.parts import SunSpec
+from terrain.scene import MAX_PERSPECTIVE_PX, Scene
+
+MOST_FRAMES = 10_000
+"""Of a film: almost seven minutes at 25 a second."""
+
+ALONG_PATH = "path"
+"""What plans call the view of a camera that moves."""
+
+log = logging.getLogger("skugga")
+
+
+@dataclass(frozen=True)
+class FilmSpan:
+    """When a film plays: the number of its frames and the seconds between two of them, the date of the first one (``None``: the
+    sun rests), and what the clock of what moves shows there (``None``: what the level says).
+    """
+
+    frames: int
+    step_s: float
+    start: datetime | None = None
+    first_second: float | None = None
+
+    def time_of(self, number: int) -> datetime | None:
+        """The date and time of a frame."""
+        return None if self.start is None else self.start + timedelta(seconds=number * self.step_s)
+
+    @property
+    def length_s(self) -> float:
+        """From the first frame to the last one."""
+        return (self.frames - 1) * self.step_s
+
+
+@dataclass(frozen=True)
+class FilmRequest:
+    """What a film shows: one of the level's views, as ``Scene.view`` makes it of its parameters, or along a ``path`` what a camera
+    sees that moves. ``size`` is (width, height). ``overrides`` are what is asked of the shadows.
+    """
+
+    span: FilmSpan
+    view: str = "map"
+    path: CameraPathSpec | None = None
+    size: tuple[int, int] | None = None
+    bounds: tuple[float, float, float, float] | None = None
+    crs: str | None = None
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def view_name(self) -> str:
+        """What plans call the view."""
+        return self.view if self.path is None else ALONG_PATH
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMoment:
+    """What a frame shows: ``elapsed_s`` after the first one, the sun of a ``time`` (``None``: the scene's), the clock of what moves
+    at ``second``, and a view.
+    """
+
+    number: int
+    elapsed_s: float
+    time: datetime | None
+    second: float
+    view: MapView | PerspectiveView
+
+    @property
+    def words(self) -> str:
+        """The frame in words, for messages: its number counted from 1, and its time."""
+        when = f"{self.elapsed_s:g} s" if self.time is None else self.time.isoformat()
+        return f"frame {self.number + 1} ({when})"
+
+    def scene(self, scene: Scene) -> Scene:
+        """A film's scene at this moment."""
+        return scene.with_sun(None if self.time is None else SunSpec(time=self.time)).at_second(self.second)
+
+
+@dataclass(frozen=True)
+class PlanSwitch:
+    """A frame in which other algorithms or settings are chosen than before, and why."""
+
+    number: int
+    before: str
+    after: str
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class FilmFrame:
+    """A frame of a film: ``color`` uint8 (rows, cols, 3), row 0 the upper one; ``drawn`` what its plan gave.
+
+    In a switch that is under way ``handover`` is the plan that is left, and the share of the pixels that show the new one;
+    ``switch`` is there in the first frame of another choice.
+    """
+
+    moment: FrameMoment
+    color: np.ndarray
+    drawn: Frame
+    handover: PlanTransition | None = None
+    switch: PlanSwitch | None = None
+
+    @property
+    def plan(self) -> Plan:
+        """The frame's plan."""
+        return self.drawn.plan
+
+
+def frame_moments(scene: Scene, request: FilmRequest, most_frames: int = MOST_FRAMES) -> list[FrameMoment]:
+    """All frames of a film, looked at before any is drawn.
+
+    Raises ``InputError`` for more than ``most_frames``, and where the camera leaves the data or goes under the ground: it names
+    the frame.
+    """
+    span = request.span
+    if not 1 <= span.frames <= most_frames:
+        raise InputError("frames", span.frames, f"1 to {most_frames} frames")
+    if span.start is not None:
+        scene.with_sun(SunSpec(time=span.start))  # a flat world has no dates
+    first_second = scene.objects.seconds if span.first_second is None else span.first_second
+    path = None if request.path is None else camera_path(request.path, scene.place, span.start)
+    resting = None if path is not None else scene.view(request.view, request.bounds, request.crs, request.size)
+    moments: list[FrameMoment] = []
+    for number in range(span.frames):
+        elapsed_s = number * span.step_s
+        try:
+            view = resting if path is None else path.view_at(elapsed_s, *reversed(_size(request)))
+        except InputError as error:
+            where = FrameMoment(number, elapsed_s, span.time_of(number), 0.0, None).words  # type: ignore[arg-type]
+            raise InputError(f"path, {where}: {error.name}", error.value, error.allowed) from None
+        assert view is not None
+        moments.append(FrameMoment(number, elapsed_s, span.time_of(number), first_second + elapsed_s, view))
+    return moments
+
+
+def _size(request: FilmRequest) -> tuple[int, int]:
+    """Width and height of the pictures along a path. Raises ``InputError``."""
+    assert request.path is not None
+    width, height = request.size or request.path.size
+    if max(width, height) > MAX_PERSPECTIVE_PX:
+        raise InputError("size", f"{width}x{height}", f"at most {MAX_PERSPECTIVE_PX} a side in a perspective view")
+    return width, height
+
+
+def film_frames(
+    scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], replanner: Replanner | None = None
+) -> Iterator[FilmFrame]:
+    """The frames of a film at ``frame_moments``, each drawn when it is asked for; nothing is kept of those before it.
+
+    ``scene`` has the sun and the style of the film, where its moments do not say otherwise; ``replanner`` makes the plans.
+    Raises as ``render_frame`` and ``Replanner.plan`` do.
+    """
+    replanner = replanner or Replanner()
+    level, overrides, before = scene.loaded.level, dict(request.overrides), None
+    for moment in moments:
+        now = moment.scene(scene)
+        plan = replanner.plan(describe(now, moment.view, request.view_name), level, overrides)
+        drawn = render_frame(now, moment.view, plan)
+        color = drawn.color
+        if replanner.handover is not None:
+            left = render_frame(now, moment.view, replanner.handover.plan)
+            color = mixed_pictures(left.color, color, replanner.share(left.visibilities, drawn.visibilities))
+        switch = None if before is None else _switch(moment, before, plan, replanner.why)
+        if switch is not None:
+            log.info("%s: %s instead of %s: %s", moment.words, switch.after, switch.before, switch.why)
+        yield FilmFrame(moment, color, drawn, replanner.handover, switch)
+        before = plan
+
+
+def _switch(moment: FrameMoment, before: Plan, after: Plan, why: str | None) -> PlanSwitch | None:
+    """What changed from one plan to the next; ``why`` if the replanner took another choice."""
+    names = _chosen(before), _chosen(after)
+    if names[0] == names[1]:
+        return None
+    return PlanSwitch(moment.number, *names, why or _what_casts(before, after))
+
+
+def _chosen(plan: Plan) -> str:
+    """What a plan chose, in words: per light its algorithms, and the settings that were chosen."""
+    names = {light: choice.name or "none" for light, choice in choices_of(plan).items()}
+    if len(set(names.values())) <= 1:
+        return next(iter(names.values()), "none")
+    return ", ".join(f"{light}: {name}" for light, name in names.items())
+
+
+def _what_casts(before: Plan, after: Plan) -> str:
+    """How two plans differ in what casts."""
+    was, now = ({(light, kind) for light, kinds in casting(plan).items() for kind in kinds} for plan in (before, after))
+    if not now:
+        return "nothing casts shadows any more"
+    if was == now:
+        return "settings follow the view"
+    changes = (was - now, "no shadows of {} any more"), (now - was, "shadows of {} again")
+    return "; ".join(words.format(format_list(sorted({kind for _, kind in kinds}))) for kinds, words in changes if kinds)

@@ -1,0 +1,143 @@
+"""Camera files: key positions with times (YAML), as validated values. The way between them is that of ``terrain.camera_path``."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+from ruamel.yaml.error import YAMLError
+
+from terrain.errors import Fault, LevelError
+from terrain.level.data_files import special_kind
+from terrain.level.durations import parse_duration
+from terrain.level.level_errors import level_error
+from terrain.level.level_text import parse_level_text
+from terrain.level.parts import Model, PixelCount, Position, time_of
+
+MOST_KEYS = 1000
+"""Of a camera path."""
+
+MOST_FILE_CHARACTERS = 2**20
+"""Of a camera file: far more than ``MOST_KEYS`` keys need."""
+
+AT_WORDS = "a time since the film's first frame, as 0s, 90s or 10m, or an ISO 8601 time with an offset"
+"""What the time of a key has to be."""
+
+_READABLE = "a readable YAML file with keys of a camera"
+
+
+def _as_text(value: Any) -> Any:
+    """The text of a key's time: YAML makes a time of one that has no quotes."""
+    text = value.isoformat() if isinstance(value, datetime) else value
+    if not isinstance(text, str) or (_elapsed_s(text) is None and _moment(text) is None):
+        raise PydanticCustomError("at", AT_WORDS)
+    return text
+
+
+def _elapsed_s(text: str) -> float | None:
+    try:
+        return parse_duration(text).total_seconds()
+    except ValueError:
+        return None
+
+
+def _moment(text: str) -> datetime | None:
+    try:
+        moment = time_of(text)
+    except ValueError:
+        return None
+    return None if moment.tzinfo is None else moment
+
+
+class CameraKey(Model):
+    """Where the camera is at a time, and what it looks at: ``eye``, ``target`` and ``fov`` as of a level's perspective views."""
+
+    at: Annotated[str, BeforeValidator(_as_text)]
+    eye: Position
+    target: Position
+    fov: float = Field(default=50.0, ge=0.01, le=179)
+
+    @model_validator(mode="after")
+    def _apart(self) -> CameraKey:
+        if self.eye == self.target:
+            raise PydanticCustomError("target", "a target other than the eye")
+        return self
+
+    @property
+    def elapsed_s(self) -> float | None:
+        """Seconds since the film's first frame; ``None`` where the key has a date."""
+        return _elapsed_s(self.at)
+
+    @property
+    def moment(self) -> datetime | None:
+        """The date and time of the key; ``None`` where it is counted from the first frame."""
+        return None if self.elapsed_s is not None else _moment(self.at)
+
+
+class CameraPathSpec(Model):
+    """A camera's way: keys in the order of their times, which are all counted from the first frame, or all dates. ``size`` is
+    that of the pictures, (width, height).
+    """
+
+    keys: Annotated[tuple[CameraKey, ...], Field(min_length=2, max_length=MOST_KEYS)]
+    size: tuple[PixelCount, PixelCount] = (1280, 1024)
+
+    @model_validator(mode="after")
+    def _in_order(self) -> CameraPathSpec:
+        dated = self.keys[0].moment is not None
+        for number, (key, following) in enumerate(pairwise(self.keys), start=1):
+            if (following.moment is not None) != dated:
+                words = f"{'a date' if dated else 'a time since the first frame'}, as the first key has"
+            elif following.moment is not None and key.moment is not None and following.moment > key.moment:
+                continue
+            elif following.elapsed_s is not None and key.elapsed_s is not None and following.elapsed_s > key.elapsed_s:
+                continue
+            else:
+                words = f"a time later than that of the key before, {key.at}"
+            problem = InitErrorDetails(type=PydanticCustomError("at", words), loc=("keys", number, "at"), input=following.at)
+            raise ValidationError.from_exception_data("CameraPathSpec", [problem])
+        return self
+
+    def times_s(self, start: datetime | None) -> tuple[float, ...]:
+        """The keys' times in seconds since the first frame, whose date is ``start``. Dates alone need one: ``ValueError``."""
+        out = []
+        for key in self.keys:
+            if key.elapsed_s is not None:
+                out.append(key.elapsed_s)
+            elif key.moment is not None and start is not None:
+                out.append((key.moment - start).total_seconds())
+            else:
+                raise ValueError("keys with dates need the date of the first frame")
+        return tuple(out)
+
+
+def load_camera_path(path: Path) -> CameraPathSpec:
+    """Read and check a camera file. Raises ``LevelError``, with a line for each key that is wrong."""
+    if (kind := special_kind(path)) is not None:
+        raise LevelError(str(path), Fault(kind), _READABLE)
+    try:
+        with path.open(encoding="utf-8") as file:
+            text = file.read(MOST_FILE_CHARACTERS + 1)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
+        raise LevelError(str(path), Fault(reason), _READABLE) from None
+    if len(text) > MOST_FILE_CHARACTERS:
+        raise LevelError(str(path), Fault(f"more than {MOST_FILE_CHARACTERS} characters"), _READABLE)
+    try:
+        data = parse_level_text(text)
+    except YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f"{path}: line {mark.line + 1}" if mark else str(path)
+        raise LevelError(where, Fault(getattr(error, "problem", None) or "broken YAML"), "well-formed YAML 1.2") from None
+    except (ValueError, RecursionError) as error:  # a date that is none, brackets without end
+        raise LevelError(str(path), Fault(str(error)), "well-formed YAML 1.2") from None
+    if not isinstance(data, dict):
+        raise LevelError(str(path), data, "a mapping with the key 'keys'")
+    try:
+        return CameraPathSpec.model_validate(data)
+    except ValidationError as error:
+        raise level_error(str(path), data, error.errors()) from None

@@ -1,0 +1,197 @@
+"""`skugga render` of films: what it writes, says and refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from api.film_span import USUAL_FPS
+
+LEVEL = {
+    "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}},
+    "meshes": [{"generate": "tetrahedra", "motion": {"spin": 30}}], "sun": {"azimuth": 200, "altitude": 35},
+    "views": {"eye": {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [64, 48]}},
+}  # fmt: skip
+KEYS = [
+    {"at": "0s", "eye": [-30, -48, 15], "target": [3, 2, 2]},
+    {"at": "1s", "eye": [30, -40, 12], "target": [3, 2, 2]},
+]
+CLOCK = "--from", "0s", "--to", "0.5s", "--step", "0.1s"
+DAY = "--from", "2024-10-21T15:00:00-04:00", "--to", "2024-10-21T17:00:00-04:00", "--step", "30m"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch) -> Path:
+    """The current folder, with a level and a camera."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "floor.yaml").write_text(json.dumps(LEVEL))
+    (tmp_path / "camera.yaml").write_text(json.dumps({"size": [64, 48], "keys": KEYS}))
+    return tmp_path
+
+
+def pngs(folder: Path) -> list[np.ndarray]:
+    return [np.asarray(Image.open(path)) for path in sorted(folder.glob("*.png"))]
+
+
+def test_a_camera_that_moves_is_written_and_told(gl, run, folder):
+    """The frames of the three kinds of files, and a still of the same camera and plan."""
+    common = "render", "floor.yaml", "--path", "camera.yaml", "--fps", "5"
+    for output in ("film.webp", "film.mp4", "frames/%02d.png"):
+        status, out, err = run(*common, "-o", output, "--stats", "film.json")
+        assert (status, out) == (0, "")
+        assert err.splitlines()[0].startswith("[1/6] frame 1 (0 s): relief=none,meshes=") and len(err.splitlines()) == 6
+    said = json.loads((folder / "film.json").read_text())
+    assert (said["level"], said["fps"], said["switches"]) == ("floor", 5.0, [])
+    assert [frame["seconds"] for frame in said["frames"]] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
+    assert {frame["share"] for frame in said["frames"]} == {1.0} and all(frame["ms"] > 0 for frame in said["frames"])
+    drawn = pngs(folder / "frames")
+    with Image.open(folder / "film.webp") as film:
+        assert film.n_frames == len(drawn) == 6
+        for number, picture in enumerate(drawn):
+            film.seek(number)
+            assert (np.asarray(film.convert("RGB")) == picture).all()
+    end = {"kind": "perspective", "eye": KEYS[1]["eye"], "target": KEYS[1]["target"], "size": [64, 48]}
+    (folder / "still.yaml").write_text(json.dumps(LEVEL | {"seconds": 1.0, "views": {"end": end}}))
+    assert run("render", "still.yaml", "--view", "end", "-o", "still.png")[0] == 0
+    assert (np.asarray(Image.open("still.png").convert("RGB")) == drawn[-1]).all()
+
+
+def test_a_sun_that_moves_is_a_row_of_stills(gl, run, folder):
+    assert run("render", "jacksboro", *DAY, "--size", "64x48", "-o", "day%d.png")[0] == 0
+    drawn = pngs(folder)
+    assert len(drawn) == 5 and len({each.tobytes() for each in drawn}) == 5
+    assert run("render", "jacksboro", "--time", "2024-10-21T16:30:00-04:00", "--size", "64x48", "-o", "still.png")[0] == 0
+    assert (np.asarray(Image.open("still.png").convert("RGB")) == drawn[3]).all()
+
+
+def test_a_sun_and_a_camera_that_move_together(gl, run, folder):
+    level = Path("jacksboro_wooded")
+    keys = [
+        {"at": DAY[1], "eye": [-84.1660, 36.22813, 62], "target": [-84.1582, 36.22573, 0], "fov": 40},
+        {"at": DAY[3], "eye": [-84.1640, 36.22713, 50], "target": [-84.1582, 36.22573, 0], "fov": 40},
+    ]
+    (folder / "fly.yaml").write_text(json.dumps({"size": [48, 36], "keys": keys}))
+    status, _, err = run("render", str(level), "--path", "fly.yaml", "--step", "1h", "-o", "fly.webp")
+    assert status == 0 and "[3/3] frame 3 (2024-10-21T17:00:00-04:00)" in err
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ((*CLOCK, "-o", "film.gif"), "output: 'film.gif' is not allowed; allowed: a film: day.webp"),
+        ((*CLOCK, "-o", "film.png"), "a name with one number for 6 frames, as frames/%04d.png"),
+        ((*CLOCK, "-o", "no/film.webp"), "no/film.webp: folder not found"),
+        ((*CLOCK, "--layer", "mask", "-o", "film.webp"), "--layer: 'mask'"),
+        ((*CLOCK, "--light", "sun", "-o", "film.webp"), "--light: 'sun'"),
+        ((*CLOCK, "--seconds", "3", "-o", "film.webp"), "seconds: '3.0'"),
+        ((*CLOCK, "--view", "hill", "-o", "film.webp"), "view: 'hill'"),
+        ((*CLOCK, "-o", "floor.yaml"), "output: 'floor.yaml'"),
+        ((*DAY, "--view", "eye", "-o", "film.webp"), "time: '2024-10-21T15:00:00-04:00'"),
+        ((*DAY, "--time", "2024-10-21T15:00:00-04:00", "-o", "film.webp"), "--time: 'given'"),
+        (("--from", "2024-10-21T15:00:00", *DAY[2:], "-o", "film.webp"), "from: '2024-10-21T15:00:00'"),
+        ((*DAY[:2], "--to", "2024-10-20T15:00:00-04:00", *DAY[4:], "-o", "film.webp"), "to: '2024-10-20T15:00:00-04:00'"),
+        ((*DAY[:4], "--step", "0s", "-o", "film.webp"), "step: '0s'"),
+        ((*DAY[:4], "--step", "0.1s", "-o", "film.webp"), "step: 72001 frames, one every 0.1 s; allowed: at most 10000 frames"),
+        (("--fps", "25", "-o", "film.webp"), "from: missing"),
+        (("--step", "10m", "-o", "film.webp"), "from: missing"),
+        (("--path", "none.yaml", "-o", "film.webp"), "none.yaml: No such file"),
+        (("--path", "camera.yaml", "--view", "eye", "-o", "film.webp"), "--view: 'eye'"),
+        (("--path", "camera.yaml", "--stats", "camera.yaml", "-o", "film.webp"), "--stats: 'camera.yaml'"),
+        (("--path", "low.yaml", "-o", "film.webp"), "path, frame 8 (0.28 s): eye: '-0.04 m above the ground'"),
+        (("--path", "off.yaml", "-o", "film.webp"), "keys.1.eye: '(900.0, 0.0, 5.0)' is not allowed"),
+        (("--path", "camera.yaml", "--size", "9000x9", "-o", "film.webp"), "size: '9000x9'"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_one_line_before_a_frame_is_drawn(run, folder, monkeypatch, options, told):
+    monkeypatch.setattr("selector.film.render_frame", lambda *_: pytest.fail("a frame was drawn"))
+    for name, eye in (("low.yaml", [0, 0, -13]), ("off.yaml", [900, 0, 5])):
+        (folder / name).write_text(json.dumps({"keys": [KEYS[0] | {"eye": [0, 9, 5]}, KEYS[1] | {"eye": eye}]}))
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    status, out, err = run("render", "floor.yaml", *options)
+    assert status == (1 if "folder" in told else 2)
+    assert (out, err.count("\n")) == ("", 1) and told in err
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_each_wrong_key_of_a_camera_is_a_line(run, folder):
+    (folder / "camera.yaml").write_text(json.dumps({"keys": [KEYS[0], KEYS[1] | {"at": "soon", "eye": [1, 2]}]}))
+    status, _, err = run("render", "floor.yaml", "--path", "camera.yaml", "-o", "film.webp")
+    assert status == 2 and [line.split(": ")[2] for line in err.splitlines()] == ["keys.1.at", "keys.1.eye"]
+
+
+def test_without_the_encoder_the_extra_is_named(run, folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    status, _, err = run("render", "floor.yaml", *CLOCK, "--view", "eye", "-o", "film.mp4")
+    assert status == 2 and err.count("\n") == 1 and "skugga[film]" in err
+
+
+@pytest.mark.parametrize("output", ["film.webp", "film.mp4", "frames/%d.png"])
+def test_a_full_disk_is_told_and_leaves_nothing(gl, run, folder, full_disk, output):
+    run("render", "floor.yaml", *CLOCK, "--view", "eye", "-o", output)  # loops are compiled, and kept, before
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    with full_disk(1000):
+        status, _, err = run("render", "floor.yaml", *CLOCK, "--view", "eye", "-o", output)
+    lines = [line for line in err.splitlines() if line.startswith("skugga:")]
+    assert status == 1 and len(lines) == 1 and output.partition("/")[0] in lines[0]
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("number", "output"),
+    [(signal.SIGINT, "film.webp"), (signal.SIGTERM, "film.mp4"), (signal.SIGINT, "frames/%d.png")],
+)
+def test_a_film_that_is_ended_leaves_nothing(folder, number, output):
+    code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from api.cli.main import main; main()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "render", "floor.yaml", "--view", "eye", "--from", "0s", "--to", "300s", "-o", output],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # what is started in the background may ignore it
+    )
+    before = sorted(os.listdir(folder))
+    assert process.stderr is not None
+    for _ in range(3):  # some frames are drawn
+        assert process.stderr.readline().startswith("[")
+    process.send_signal(number)
+    process.communicate(timeout=120)
+    assert process.returncode not in (0, -number)
+    assert sorted(os.listdir(folder)) == before
+
+
+def test_on_a_terminal_there_is_a_bar_with_the_time_left(gl, folder):
+    """And no line for each frame."""
+    import pty
+
+    code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from api.cli.main import main; main()"
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "render", "floor.yaml", "--view", "eye", *CLOCK, "-o", "film.webp"],
+        stderr=theirs, env={**os.environ, "TERM": "xterm", "COLUMNS": "100"},
+    )  # fmt: skip
+    os.close(theirs)
+    said, until = b"", time.monotonic() + 120
+    while time.monotonic() < until:
+        try:
+            said += (part := os.read(ours, 4096))
+        except OSError:  # the other end is closed
+            break
+        if not part:
+            break
+    os.close(ours)
+    assert process.wait(120) == 0
+    assert b"Filming" in said and b"6/6" in said and b"0:00:0" in said and b"[3/6] frame" not in said
+
+
+def test_the_usual_rate_is_that_of_the_help(run):
+    status, out, _ = run("render", "--help")
+    assert status == 0 and f"default: {USUAL_FPS:g}" in out
+    assert all(option in out for option in ("--from", "--to", "--step", "--path", "--fps"))

@@ -1,0 +1,226 @@
+"""Films as files: what they hold, how much of it is in memory, and what is left where one ends too early."""
+
+from __future__ import annotations
+
+import os
+import sys
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from api.film_files import check_film_path, film_files, write_film
+from terrain.errors import InputError
+
+FPS = 20.0
+FILMS = "film.webp", "film.mp4", "frames/%03d.png"
+
+
+def pictures(count: int, rows: int = 30, cols: int = 44) -> list[np.ndarray]:
+    """Smooth ground, a shadow that wanders over it, and noise of one step; every third picture is the one before it."""
+    rng, out = np.random.default_rng(7), []
+    ground = np.linspace(40, 220, cols)[None, :, None] * np.array([0.8, 1.0, 0.6]) * np.linspace(0.7, 1.0, rows)[:, None, None]
+    for number in range(count):
+        picture = ground.copy()
+        picture[:, 2 * number : 2 * number + 9] *= 0.4
+        out.append(np.clip(picture + rng.integers(0, 2, picture.shape), 0, 255).astype(np.uint8))
+        if number % 3 == 2:
+            out[number] = out[number - 1]
+    return out
+
+
+def frames_of_webp(path: Path) -> Iterator[np.ndarray]:
+    """The pictures of an animated WebP: the encoder joins those that are alike into one that lasts longer."""
+    with Image.open(path) as film:
+        for number in range(film.n_frames):
+            film.seek(number)
+            picture = np.asarray(film.convert("RGB"))
+            for _ in range(round(film.info["duration"] * FPS / 1000.0)):
+                yield picture
+
+
+def left(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(30, 44), (31, 45)])
+def test_webp_loses_nothing(tmp_path, rows, cols):
+    made = pictures(9, rows, cols)
+    write_film(tmp_path / "film.webp", iter(made), 9, FPS)
+    found = list(frames_of_webp(tmp_path / "film.webp"))
+    assert len(found) == 9 and all((one == other).all() for one, other in zip(found, made, strict=True))
+    with Image.open(tmp_path / "film.webp") as film:
+        assert film.info["loop"] == 0 and film.mode in ("RGB", "RGBX", "RGBA")
+    assert left(tmp_path) == ["film.webp"]
+
+
+def test_webp_of_a_rate_that_is_no_whole_number_of_milliseconds_keeps_time(tmp_path):
+    write_film(tmp_path / "film.webp", iter(pictures(31)), 31, 30.0)
+    with Image.open(tmp_path / "film.webp") as film:
+        total = 0
+        for number in range(film.n_frames):
+            film.seek(number)
+            film.load()
+            total += film.info["duration"]
+    assert total == pytest.approx(31 / 30.0 * 1000.0, abs=1.0)
+
+
+def test_a_film_of_one_frame(tmp_path):
+    (made,) = pictures(1)
+    for name in FILMS:
+        write_film(tmp_path / name, iter([made]), 1, FPS)
+    with Image.open(tmp_path / "film.webp") as film:
+        assert (np.asarray(film.convert("RGB")) == made).all()
+    assert (np.asarray(Image.open(tmp_path / "frames/001.png")) == made).all()
+    assert len(decoded(tmp_path / "film.mp4")) == 1
+
+
+def test_frames_of_png_lose_nothing(tmp_path):
+    made = pictures(4, 31, 45)
+    write_film(tmp_path / "frames/%03d.png", iter(made), 4, FPS)
+    assert left(tmp_path) == ["frames", *(f"frames/00{n}.png" for n in range(1, 5))]
+    for number, picture in enumerate(made, start=1):
+        assert (np.asarray(Image.open(tmp_path / f"frames/00{number}.png")) == picture).all()
+
+
+def decoded(path: Path) -> list:
+    import av
+
+    with av.open(str(path)) as container:
+        return list(container.decode(video=0))
+
+
+def test_mp4_is_what_players_and_browsers_take(tmp_path):
+    """H.264, 4:2:0, even sides, said and meant to be BT.709 of limited range: flat colours come back, also in the last row."""
+    import av
+
+    colors = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (200, 60, 30), (128, 128, 128), (255, 255, 255), (0, 0, 0), (30, 90, 200)]
+    made = np.repeat(np.array([*colors, colors[-1]], np.uint8), [20] * 8 + [1], axis=0)[None].repeat(121, axis=0)
+    write_film(tmp_path / "film.mp4", iter([made] * 5), 5, FPS)
+    with av.open(str(tmp_path / "film.mp4")) as container:
+        stream = container.streams.video[0]
+        context = stream.codec_context
+        assert (context.name, stream.pix_fmt, stream.width, stream.height) == ("h264", "yuv420p", 162, 122)
+        assert (context.color_primaries, context.color_trc, context.colorspace, context.color_range) == (1, 1, 1, 1)
+        assert stream.average_rate == 20 and float(stream.duration * stream.time_base) == pytest.approx(5 / FPS)
+    frames = decoded(tmp_path / "film.mp4")
+    assert len(frames) == 5
+    found = frames[-1].reformat(format="rgb24", src_colorspace="ITU709").to_ndarray()
+    for number, color in enumerate(colors):
+        assert np.abs(found[60, 20 * number + 10].astype(int) - color).max() <= 3
+    assert np.abs(found[121, 161].astype(int) - colors[-1]).max() <= 3
+    content = (tmp_path / "film.mp4").read_bytes()
+    assert content.index(b"moov") < content.index(b"mdat")  # what a browser needs first comes first
+
+
+@pytest.mark.parametrize("name", FILMS)
+def test_one_frame_at_a_time_is_held(tmp_path, name):
+    taken: list[weakref.ref[np.ndarray]] = []
+    most = 0
+
+    def made() -> Iterator[np.ndarray]:
+        nonlocal most
+        for number in range(30):
+            picture = np.full((30, 44, 3), number, np.uint8)
+            taken.append(weakref.ref(picture))
+            yield picture
+            del picture
+            most = max(most, sum(each() is not None for each in taken))
+
+    write_film(tmp_path / name, made(), 30, FPS)
+    assert len(taken) == 30 and most <= 2
+
+
+class StopError(Exception):
+    pass
+
+
+@pytest.mark.parametrize("name", FILMS)
+@pytest.mark.parametrize("error", [StopError, KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("is_there", [True, False])
+def test_what_ends_a_film_early_leaves_what_was_there(tmp_path, name, error, is_there):
+    if is_there:
+        write_film(tmp_path / name, iter(pictures(5)[::-1]), 5, FPS)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+    def ended() -> Iterator[np.ndarray]:
+        yield from pictures(3)
+        raise error
+
+    with pytest.raises(error):
+        write_film(tmp_path / name, ended(), 5, FPS)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    assert not [path for path in tmp_path.rglob(".*")]
+
+
+@pytest.mark.parametrize("name", FILMS)
+def test_a_full_disk_is_told_by_the_films_own_name(tmp_path, name, full_disk):
+    with full_disk(1500), pytest.raises(OSError, match="large|space") as caught:
+        write_film(tmp_path / name, iter([*pictures(20, 90, 120)]), 20, FPS)
+    assert str(caught.value.filename) in (str(tmp_path / name), str((tmp_path / name).parent))
+    assert left(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["film.webp", "film.mp4"])
+def test_a_device_without_room_is_told(tmp_path, name):
+    (tmp_path / name).symlink_to("/dev/full")
+    with pytest.raises(OSError, match="space"):
+        write_film(tmp_path / name, iter(pictures(5)), 5, FPS)
+    assert os.readlink(tmp_path / name) == "/dev/full" and left(tmp_path) == [name]
+
+
+@pytest.mark.parametrize(
+    ("name", "allowed"),
+    [
+        ("film.gif", "day.webp"),
+        ("film", "day.webp"),
+        ("film.png", "a name with one number for 5 frames, as frames/%04d.png"),
+        ("film%04d.webp", "frames/%04d.png"),
+        ("film%s.png", "frames/%04d.png"),
+        ("film%d_%d.png", "frames/%04d.png"),
+        ("100%_%04d.png", "frames/%04d.png"),
+        ("film%-4d.png", "frames/%04d.png"),
+    ],
+)
+def test_names_that_no_film_can_have(tmp_path, name, allowed):
+    with pytest.raises(InputError) as caught:
+        check_film_path(tmp_path / name, 5, (40, 30))
+    assert caught.value.name == "output" and allowed in caught.value.allowed
+
+
+def test_names_that_films_have(tmp_path):
+    for name in ("a.webp", "A.MP4", "%d.png", "a%04d b.PNG", "new/%02d.png"):
+        check_film_path(tmp_path / name, 5, (40, 30))
+    assert [path.name for path in film_files(tmp_path / "a%02d.png", 3)] == ["a01.png", "a02.png", "a03.png"]
+
+
+@pytest.mark.parametrize("name", ["nowhere/film.webp", "no/where/%d.png"])
+def test_a_folder_that_is_not_there(tmp_path, name):
+    with pytest.raises(FileNotFoundError):
+        check_film_path(tmp_path / name, 5, (40, 30))
+
+
+def test_frames_of_a_longer_film_do_not_stay_among_these(tmp_path):
+    write_film(tmp_path / "frames/%03d.png", iter(pictures(4)), 4, FPS)
+    (tmp_path / "frames/notes.png").write_bytes(b"mine")
+    check_film_path(tmp_path / "frames/%03d.png", 4, (40, 30))
+    with pytest.raises(InputError, match="a folder without frames of a longer film: .*003.png is there"):
+        check_film_path(tmp_path / "frames/%03d.png", 2, (40, 30))
+    write_film(tmp_path / "frames/%03d.png", iter(pictures(4)[::-1]), 4, FPS)
+    assert (np.asarray(Image.open(tmp_path / "frames/001.png")) == pictures(4)[3]).all()
+    assert (tmp_path / "frames/notes.png").read_bytes() == b"mine"
+
+
+def test_a_missing_encoder_is_told_with_what_brings_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(InputError) as caught:
+        check_film_path(tmp_path / "film.mp4", 5, (40, 30))
+    assert str(caught.value) == "output: this machine has no encoder of .mp4; allowed: pip install 'skugga[film]', or a .webp"
+
+
+def test_what_webp_cannot_hold(tmp_path):
+    with pytest.raises(InputError, match="at most 16383 a side"):
+        check_film_path(tmp_path / "film.webp", 5, (16384, 30))

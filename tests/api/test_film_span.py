@@ -1,0 +1,103 @@
+"""When a film plays: from texts to frames, and what each wrong one is told."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from api.film_span import film_span
+from selector.film import FilmSpan
+from terrain.errors import InputError
+from terrain.level.camera_file import CameraPathSpec
+
+MORNING, EVENING = "2024-10-21T06:00:00-04:00", "2024-10-21T18:00:00-04:00"
+
+
+def path(*at: str) -> CameraPathSpec:
+    return CameraPathSpec.model_validate({"keys": [{"at": each, "eye": [0, 0, 5], "target": [9, 9, 0]} for each in at]})
+
+
+def test_a_day_has_both_its_ends():
+    span = film_span(MORNING, EVENING, "10m")
+    assert span == FilmSpan(73, 600.0, datetime.fromisoformat(MORNING))
+    assert span.time_of(72) == datetime.fromisoformat(EVENING) and span.length_s == 43200.0
+    assert film_span(MORNING, EVENING, "7m").frames == 103  # the last one at 17:54
+    assert film_span(MORNING, MORNING, "7m").frames == 1
+
+
+def test_ends_may_have_different_offsets():
+    assert film_span(MORNING, "2024-10-21T10:30:00Z", "10m").frames == 4
+
+
+def test_readings_of_the_clock_play_at_their_own_pace():
+    assert film_span("2s", "4s", None) == FilmSpan(51, 0.04, None, 2.0)
+    assert film_span("0s", "1m", "10s", 10.0) == FilmSpan(7, 10.0, None, 0.0)
+    assert film_span("0s", "0.1s", "0.05s").frames == 3
+
+
+def test_a_path_gives_the_ends():
+    assert film_span(None, None, None, 10.0, path("0s", "2s")) == FilmSpan(21, 0.1)
+    assert film_span(None, None, "0.5s", 10.0, path("1s", "2s"), 7.0) == FilmSpan(5, 0.5, None, 7.0)
+    dated = path(MORNING, EVENING)
+    assert film_span(None, None, "1h", path=dated) == FilmSpan(13, 3600.0, datetime.fromisoformat(MORNING))
+    assert film_span(MORNING, None, "1h", path=path("0s", "6h")) == FilmSpan(7, 3600.0, datetime.fromisoformat(MORNING))
+    assert film_span(None, "3s", None, 10.0, path("0s", "2s")) == FilmSpan(31, 0.1)
+
+
+@given(st.integers(1, 120), st.integers(0, 80))
+def test_whole_seconds_have_whole_frames_at_any_rate(fps, seconds):
+    """Also where a frame is no whole number of microseconds."""
+    assert film_span("0s", f"{seconds}s", None, float(fps)).frames == seconds * fps + 1
+
+
+@given(st.integers(1, 400_000), st.integers(1, 90_000))
+def test_the_last_frame_is_the_last_that_fits(length_s, step_s):
+    start = datetime.fromisoformat(MORNING)
+    end = start + timedelta(seconds=length_s)
+    count = length_s // step_s + 1
+    if count > 10_000:
+        with pytest.raises(InputError, match=f"step: {count} frames"):
+            film_span(MORNING, end.isoformat(), f"{step_s}s")
+        return
+    span = film_span(MORNING, end.isoformat(), f"{step_s}s")
+    assert span.time_of(span.frames - 1) <= end < span.time_of(span.frames)
+
+
+WRONG = {
+    "no offset": (("2024-10-21T06:00:00", EVENING, "10m"), "from", "with an offset"),
+    "no time": ((MORNING, "evening", "10m"), "to", "with an offset"),
+    "a date alone": ((MORNING, "2024-10-22", "10m"), "to", "with an offset"),
+    "after": ((EVENING, MORNING, "10m"), "to", f"a time that is not before from, {EVENING}"),
+    "clock after": (("5s", "2s", None), "to", "a time that is not before from, 5s"),
+    "date and clock": ((MORNING, "5s", "10m"), "to", "both with a date, or both readings of the clock"),
+    "clock and date": (("5s", EVENING, "10m"), "to", "both with a date, or both readings of the clock"),
+    "no from": ((None, EVENING, "10m"), "from", "from and to together"),
+    "nothing": ((None, None, "10m"), "from", "from and to together"),
+    "no to": ((MORNING, None, "10m"), "to", "beside from"),
+    "no step": ((MORNING, EVENING, None), "step", "as 10m, beside from and to"),
+    "zero": ((MORNING, EVENING, "0m"), "step", "at least 0.001s"),
+    "negative": ((MORNING, EVENING, "-10m"), "step", "at least 0.001s"),
+    "unreadable": ((MORNING, EVENING, "ten"), "step", "a number and s, m, h or d, as 15m"),
+    "no unit": ((MORNING, EVENING, "10"), "step", "a number and s, m, h or d, as 15m"),
+    "many": ((MORNING, EVENING, "4s"), "step", "at most 10000 frames"),
+    "many of the clock": (("0s", "900000d", "0.001s"), "step", "at most 10000 frames"),
+    "slow": (("0s", "5s", None, 0.01), "fps", "0.1 to 120"),
+    "no number": (("0s", "5s", None, float("nan")), "fps", "0.1 to 120"),
+    "two clocks": (("0s", "5s", None, 25.0, None, 3.0), "seconds", "from is there already"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_told_by_its_name(name):
+    given_, parameter, allowed = WRONG[name]
+    with pytest.raises(InputError) as caught:
+        film_span(*given_)
+    assert caught.value.name == parameter and allowed in str(caught.value)
+
+
+def test_fewer_frames_may_be_allowed():
+    with pytest.raises(InputError, match="73 frames, one every 600 s; allowed: at most 50 frames"):
+        film_span(MORNING, EVENING, "10m", most_frames=50)

@@ -1,0 +1,200 @@
+"""Films: what their frames show, that each is the still of its moment, to the bit, and what is refused before any is drawn."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Iterator
+from datetime import datetime
+
+import numpy as np
+import pytest
+
+from selector import film
+from selector.film import FilmFrame, FilmRequest, FilmSpan, film_frames, frame_moments
+from selector.planner.planner import make_plan
+from selector.replanning import MOST_CHANGED, PATIENCE, Replanner
+from shadows.plan import Plan, Predicted
+from shadows.render import render_frame
+from terrain.errors import InputError
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.level.camera_file import CameraPathSpec
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+
+NOON = datetime.fromisoformat("2024-06-21T12:00:00-04:00")
+SIZE = 96, 80
+
+FIGURE = {
+    "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}},
+    "meshes": [{"generate": "tetrahedra", "motion": {"spin": 30}}], "sun": {"azimuth": 200, "altitude": 35}, "seconds": 2.0,
+    "views": {"eye": {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [160, 128]}},
+}  # fmt: skip
+ROUND = CameraPathSpec.model_validate({
+    "size": SIZE,
+    "keys": [
+        {"at": "0s", "eye": [-30, -48, 15], "target": [3, 2, 2]},
+        {"at": "2s", "eye": [30, -40, 12], "target": [3, 2, 2], "fov": 40},
+        {"at": "3s", "eye": [40, 10, 20], "target": [0, 0, 2], "fov": 45},
+    ],
+})  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def figure(tmp_path_factory) -> Scene:
+    """A tetrahedron that turns, on a floor."""
+    path = tmp_path_factory.mktemp("film") / "figure.yaml"
+    path.write_text(json.dumps(FIGURE), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+@pytest.fixture(scope="module")
+def hills() -> Scene:
+    return build_scene(load_level("configs/jacksboro.yaml"))
+
+
+def frames_of(scene: Scene, request: FilmRequest, replanner: Replanner | None = None) -> Iterator[FilmFrame]:
+    return film_frames(scene, request, frame_moments(scene, request), replanner)
+
+
+def still_of(scene: Scene, frame: FilmFrame) -> np.ndarray:
+    """The picture of a frame's time, clock, view and plan, drawn by itself: of another scene object, so that nothing is shared."""
+    moment = frame.moment
+    sun = None if moment.time is None else SunSpec(time=moment.time)
+    fresh = build_scene(scene.loaded).with_sun(sun).at_second(moment.second)
+    return render_frame(fresh, moment.view, frame.plan).color
+
+
+def test_frames_of_a_moving_sun_are_stills(gl, hills):
+    request = FilmRequest(FilmSpan(5, 10800.0, NOON), "map", size=SIZE)
+    frames = list(frames_of(hills, request))
+    assert [frame.moment.time.isoformat() for frame in frames][::4] == ["2024-06-21T12:00:00-04:00", "2024-06-22T00:00:00-04:00"]
+    assert len({frame.color.tobytes() for frame in frames}) == 5
+    for frame in frames:
+        assert frame.handover is None and frame.color.shape == (SIZE[1], SIZE[0], 3) and frame.color.dtype == np.uint8
+        assert (frame.color == still_of(hills, frame)).all()
+
+
+def test_frames_of_a_moving_camera_and_what_moves_are_stills(gl, figure):
+    request = FilmRequest(FilmSpan(7, 0.5), path=ROUND)
+    frames = list(frames_of(figure, request))
+    assert [frame.moment.second for frame in frames] == [2.0 + 0.5 * n for n in range(7)]
+    assert len({frame.color.tobytes() for frame in frames}) == 7
+    for frame in frames:
+        assert frame.plan.view == "path" and (frame.color == still_of(figure, frame)).all()
+
+
+def test_a_frame_is_drawn_when_it_is_asked_for(figure, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(film, "render_frame", lambda scene, view, plan: drawn.append(1) or render_frame(scene, view, plan))
+    frames = frames_of(figure, FilmRequest(FilmSpan(100, 0.01), path=ROUND))
+    assert drawn == []
+    next(frames), next(frames)
+    assert len(drawn) == 2
+
+
+class Turn:
+    """A policy that takes one algorithm up to a call, and then would rather have another one."""
+
+    def __init__(self, first: str, then: str, calls: int) -> None:
+        self.names, self.calls = (first, then), calls
+
+    def __call__(self, descriptor, plan_request, overrides) -> Plan:
+        asked = (overrides or {}).get("algorithm")
+        self.calls -= asked is None
+        name = asked["sun"]["meshes"] if asked else self.names[self.calls < 0]
+        ms = 5.0 if name == self.names[self.calls < 0] else 10.0
+        asked_for = {**(overrides or {}), "algorithm": {"sun": {"meshes": name}}}
+        if name == "shadow_map":
+            asked_for |= {"map_size": 64, "cascades": 1, "filter": 1}
+        plan = make_plan(descriptor, plan_request, asked_for)
+        return plan.model_copy(update={"policy": "predict", "predicted": Predicted(ms=ms, wrong=0.001, wrong_cast=0.01)})
+
+
+def test_a_switch_is_spread_over_frames_told_and_recorded(gl, figure, caplog):
+    """Frames before and after it are stills; in between, no more pixels change from one frame to the next than may."""
+    caplog.set_level(logging.INFO, "skugga")
+    logging.getLogger("skugga").propagate = True
+    request = FilmRequest(FilmSpan(PATIENCE + 40, 1e-3), "eye")  # of a camera at rest, and hardly any motion
+    frames = list(frames_of(figure, request, Replanner(plans=Turn("shadow_map", "shadow_volume", 3))))
+    (switched,) = (frame for frame in frames if frame.switch is not None)
+    switch, mixed = switched.switch, [frame for frame in frames if frame.handover is not None]
+    assert (switch.number, switch.before, switch.after) == (3 + PATIENCE - 1, "shadow_map 64 1", "shadow_volume")
+    assert "5.0 ms" in switch.why and "10 ms" in switch.why and f"{PATIENCE} frames in a row" in switch.why
+    assert mixed[0] is switched and 4 <= len(mixed) < 40 and mixed[-1].handover.share == 1.0
+    (said,) = (record.getMessage() for record in caplog.records if "instead of" in record.getMessage())
+    assert said == f"frame {switch.number + 1} (0.007 s): {switch.after} instead of {switch.before}: {switch.why}"
+    there = frames[0].drawn.there.sum()
+    for one, other in zip(frames, frames[1:], strict=False):
+        if one.handover or other.handover:
+            # The sun rests, the body turns by 0.03 degrees a frame: colours change, but hardly between light and shadow.
+            flipped = (np.abs(one.color.astype(int) - other.color).max(axis=-1) > 40).sum()
+            assert flipped <= 1.5 * max(MOST_CHANGED * there, 1.0)
+    whole = np.abs(frames[switch.number - 1].color.astype(int) - frames[-1].color).max(axis=-1) > 40
+    assert whole.sum() > 2 * MOST_CHANGED * there  # else nothing was tested
+    for frame in (*frames[:3], *frames[-2:]):
+        assert (frame.color == still_of(figure, frame)).all()
+    assert not (switched.color == still_of(figure, switched)).all()
+
+
+def test_night_is_told(gl, hills, caplog):
+    caplog.set_level(logging.INFO, "skugga")
+    logging.getLogger("skugga").propagate = True
+    evening = datetime.fromisoformat("2024-06-21T20:00:00-04:00")
+    frames = list(frames_of(hills, FilmRequest(FilmSpan(3, 3600.0, evening), "map", size=(32, 32))))
+    (switched,) = (frame for frame in frames if frame.switch is not None)
+    assert switched.switch.after == "none" and switched.switch.why == "nothing casts shadows any more"
+
+
+def test_moments_of_a_resting_camera_share_one_view(hills):
+    moments = frame_moments(hills, FilmRequest(FilmSpan(3, 60.0, NOON), "map", size=SIZE))
+    assert isinstance(moments[0].view, MapView) and all(moment.view is moments[0].view for moment in moments)
+    assert [moment.second for moment in moments] == [0.0, 60.0, 120.0]
+    assert moments[2].words == "frame 3 (2024-06-21T12:02:00-04:00)"
+
+
+def test_the_clock_begins_where_it_is_told(figure):
+    moments = frame_moments(figure, FilmRequest(FilmSpan(2, 0.25, None, 10.0), "eye", size=SIZE))
+    assert [moment.second for moment in moments] == [10.0, 10.25]
+    assert moments[1].words == "frame 2 (0.25 s)" and isinstance(moments[1].view, PerspectiveView)
+
+
+def test_sizes_are_those_of_the_request_or_the_path(figure):
+    one = frame_moments(figure, FilmRequest(FilmSpan(1, 1.0), path=ROUND))[0].view
+    other = frame_moments(figure, FilmRequest(FilmSpan(1, 1.0), path=ROUND, size=(50, 40)))[0].view
+    assert ((one.cols, one.rows), (other.cols, other.rows)) == (SIZE, (50, 40))
+
+
+def low(height: float) -> CameraPathSpec:
+    keys = [{"at": at, "eye": [x, 0, z], "target": [0, 9, 0]} for at, x, z in (("0s", 0, 5), ("4s", 50, height))]
+    return CameraPathSpec.model_validate({"keys": keys})
+
+
+WRONG = {
+    "no frame": (FilmRequest(FilmSpan(0, 1.0), "eye"), "frames: '0'", "1 to 10000 frames"),
+    "many frames": (FilmRequest(FilmSpan(10_001, 1.0), "eye"), "frames: '10001'", "1 to 10000 frames"),
+    "a date on a floor": (FilmRequest(FilmSpan(2, 1.0, NOON), "eye"), "time: '2024-06-21T12:00:00-04:00'", "not georeferenced"),
+    "no view": (FilmRequest(FilmSpan(2, 1.0), "hill"), "view: 'hill'", "map, eye"),
+    "no bounds of a perspective": (FilmRequest(FilmSpan(2, 1.0), "eye", bounds=(0, 0, 1, 1)), "bounds:", "perspective view"),
+    "under the ground": (
+        FilmRequest(FilmSpan(5, 1.0), path=low(-3.3333333333333335)),
+        "path, frame 4 (3 s): eye: '-1.25 m above the ground'",
+        "above",
+    ),
+    "a large picture": (FilmRequest(FilmSpan(5, 1.0), path=ROUND, size=(5000, 9)), "size: '5000x9'", "at most 4096"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_told_before_a_frame_is_drawn(figure, name):
+    request, told, allowed = WRONG[name]
+    with pytest.raises(InputError) as caught:
+        frame_moments(figure, request)
+    assert told in str(caught.value) and allowed in str(caught.value)
+
+
+def test_a_service_may_allow_fewer_frames(figure):
+    with pytest.raises(InputError, match="1 to 10 frames"):
+        frame_moments(figure, FilmRequest(FilmSpan(11, 1.0), "eye"), most_frames=10)

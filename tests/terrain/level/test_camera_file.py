@@ -1,0 +1,99 @@
+"""Camera files: what they say, and what each wrong one is told."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from terrain.errors import LevelError
+from terrain.level.camera_file import MOST_FILE_CHARACTERS, MOST_KEYS, load_camera_path
+from terrain.level.durations import parse_duration
+
+KEY = "{at: 0s, eye: [0, 0, 5], target: [9, 9, 0]}"
+
+
+def read(tmp_path, text: str):
+    path = tmp_path / "camera.yaml"
+    path.write_text(text, encoding="utf-8")
+    return load_camera_path(path)
+
+
+def test_a_file_says_keys_and_a_size(tmp_path):
+    found = read(tmp_path, f"size: [64, 48]\nkeys:\n- {KEY}\n- {{at: 1.5m, eye: [1, 2, 3], target: [4, 5, 6], fov: 30}}\n")
+    assert found.size == (64, 48) and found.times_s(None) == (0.0, 90.0)
+    assert (found.keys[0].fov, found.keys[1].fov, found.keys[1].eye) == (50.0, 30.0, (1.0, 2.0, 3.0))
+
+
+def test_dates_with_and_without_quotes_are_the_same(tmp_path):
+    dated = "- {{at: {}, eye: [0, 0, 5], target: [9, 9, 0]}}\n"
+    times = "2024-10-21T16:30:00-04:00", '"2024-10-21T17:30:00-04:00"'
+    found = read(tmp_path, "keys:\n" + "".join(map(dated.format, times)))
+    assert [key.moment for key in found.keys] == [datetime(2024, 10, 21, hour, 30, tzinfo=UTC) for hour in (20, 21)]
+    assert found.times_s(datetime(2024, 10, 21, 20, tzinfo=UTC)) == (1800.0, 5400.0)
+    with pytest.raises(ValueError, match="first frame"):
+        found.times_s(None)
+
+
+WRONG = {
+    "keys: []": ("keys", "2 items"),
+    f"keys: [{KEY}]": ("keys", "at least 2 items"),
+    "size: [9, 9]": ("keys", "'nothing' is not allowed"),
+    f"keys: [{KEY}, {{at: 5, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "as 0s, 90s or 10m, or an ISO 8601 time"),
+    f"keys: [{KEY}, {{at: soon, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "'soon' is not allowed"),
+    f"keys: [{KEY}, {{at: -5s, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "'-5s' is not allowed"),
+    f"keys: [{KEY}, {{at: 2024-10-21T16:30:00, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "with an offset"),
+    f"keys: [{KEY}, {{at: 2024-10-21T16:30:00Z, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "as the first key has"),
+    f"keys: [{KEY}, {KEY}]": ("keys.1.at", "a time later than that of the key before, 0s"),
+    f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 5], target: [0, 0, 5]}}]": ("keys.1", "a target other than the eye"),
+    f"keys: [{KEY}, {{at: 1s, eye: [0, 0], target: [9, 9, 0]}}]": ("keys.1.eye", "3 items"),
+    f"keys: [{KEY}, {{at: 1s, eye: [0, 0, .nan], target: [9, 9, 0]}}]": ("keys.1.eye.2", "nan"),
+    f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1], target: [9, 9, 0], fov: 180}}]": ("keys.1.fov", "179"),
+    f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1], target: [9, 9, 0], fow: 50}}]": ("keys.1.fow", "did you mean 'fov'?"),
+    f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1]}}]": ("keys.1.target", "'nothing' is not allowed"),
+    f"size: [0, 9]\nkeys: [{KEY}, {{at: 1s, eye: [0, 0, 1], target: [9, 9, 0]}}]": ("size.0", "greater than or equal to 1"),
+    "just text": ("", "a mapping with the key 'keys'"),
+    "keys: [": ("line", "well-formed YAML"),
+    "a: &a [x, x]\nkeys: " + "[" * 40 + "]" * 40: ("line", "inside of one another"),
+    "keys: [2024-13-40]": ("", "well-formed YAML"),
+}
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_what_is_wrong_is_told_in_one_line_that_names_the_key(tmp_path, text):
+    key, words = WRONG[text]
+    with pytest.raises(LevelError) as caught:
+        read(tmp_path, text)
+    assert str(caught.value).startswith(f"{tmp_path / 'camera.yaml'}: {key}") and words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_several_wrong_keys_are_told_together(tmp_path):
+    with pytest.raises(LevelError) as caught:
+        read(tmp_path, f"keys: [{KEY}, {{at: soon, eye: [0, 0, 5], target: [9, 9]}}]")
+    assert [error.name.rpartition(": ")[2] for error in (caught.value, *caught.value.others)] == ["keys.1.at", "keys.1.target"]
+
+
+def test_no_file_too_long_a_file_and_what_is_no_text(tmp_path):
+    with pytest.raises(LevelError, match="No such file"):
+        load_camera_path(tmp_path / "none.yaml")
+    with pytest.raises(LevelError, match="folder"):
+        load_camera_path(tmp_path)
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(LevelError, match="not UTF-8 text"):
+        load_camera_path(tmp_path / "binary.yaml")
+    with pytest.raises(LevelError, match=f"more than {MOST_FILE_CHARACTERS} characters"):
+        read(tmp_path, "#" * (MOST_FILE_CHARACTERS + 1))
+    with pytest.raises(LevelError, match=f"at most {MOST_KEYS} items"):
+        read(tmp_path, "keys:\n" + "".join(f"- {{at: {n}s, eye: [0, 0, 5], target: [9, 9, 0]}}\n" for n in range(MOST_KEYS + 1)))
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("0s", 0.0), ("0.04s", 0.04), (" 10m ", 600.0), ("1.5h", 5400.0), ("2d", 172800.0)])
+def test_lengths_of_time(text, seconds):
+    assert parse_duration(text) == timedelta(seconds=seconds)
+
+
+@pytest.mark.parametrize("text", ["", "5", "-5s", "5 s", "1e3s", "5min", "١s", "1234567s", "infs"])
+def test_what_is_no_length_of_time(text):
+    with pytest.raises(ValueError, match="as 15m"):
+        parse_duration(text)

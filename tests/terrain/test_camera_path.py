@@ -1,0 +1,177 @@
+"""A camera's way through keys: where it passes, how fast, how high, and what it is refused."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terrain.camera_path import SPEED_BOUND, CameraPath, camera_path, key_velocities
+from terrain.errors import InputError
+from terrain.level.camera_file import CameraPathSpec
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
+
+ROWS, COLS = 24, 32
+
+
+@pytest.fixture(scope="module")
+def floor(tmp_path_factory) -> Scene:
+    path = tmp_path_factory.mktemp("path") / "floor.yaml"
+    level = {"version": 1, "terrain": {"flat": {"size": [400, 400], "cells": [100, 100]}}, "sun": {"azimuth": 200, "altitude": 35}}
+    path.write_text(json.dumps(level), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+@pytest.fixture(scope="module")
+def hills() -> Scene:
+    return build_scene(load_level("configs/jacksboro_wooded.yaml"))
+
+
+def spec(*keys: tuple[str, tuple, tuple], **more) -> CameraPathSpec:
+    return CameraPathSpec.model_validate({"keys": [{"at": at, "eye": eye, "target": to, **more} for at, eye, to in keys]})
+
+
+def path_of(scene: Scene, *keys: tuple[str, tuple, tuple], **more) -> CameraPath:
+    return camera_path(spec(*keys, **more), scene.place, None)
+
+
+def eye(path: CameraPath, time_s: float) -> np.ndarray:
+    """East, north, up (3,) in metres on the floor, whose earth is the anchor's frame."""
+    return path.view_at(time_s, ROWS, COLS).eye_earth_m
+
+
+def test_a_way_along_a_line_at_one_speed_is_that_line(floor):
+    path = path_of(floor, *((f"{n}s", (10 * n, -20 * n, 5 + n), (0, 0, 0)) for n in range(4)))
+    times = np.linspace(0.0, 3.0, 31)
+    found = np.array([eye(path, t) for t in times])
+    start = eye(path, 0.0)
+    assert found - start == pytest.approx(times[:, None] * np.array([10.0, -20.0, 1.0]), abs=1e-9)
+
+
+def test_at_its_keys_the_view_is_that_of_the_same_words_in_a_level(hills):
+    """Over real ground, to the bit."""
+    views = [view for view in hills.loaded.level.views.values() if view.kind == "perspective"]
+    assert views
+    for view in views:
+        other = ((view.eye[0] + 1e-3, view.eye[1], view.eye[2]), view.target)
+        path = path_of(hills, ("1s", view.eye, view.target), ("2s", *other), fov=view.fov)
+        found, wanted = path.view_at(1.0, ROWS, COLS), hills.view_from(view, (COLS, ROWS))
+        assert (found.eye_earth_m == wanted.eye_earth_m).all() and found.focal_px == wanted.focal_px
+        assert (found.earth_from_camera == wanted.earth_from_camera).all()
+
+
+def test_the_way_has_one_velocity_on_both_sides_of_a_key(floor):
+    keys = [
+        ("0s", (0, 0, 5), (9, 9, 0)),
+        ("1s", (30, 5, 9), (9, 0, 0)),
+        ("4s", (35, 60, 7), (0, 0, 0)),
+        ("5s", (0, 60, 20), (1, 1, 1)),
+    ]
+    path, small = path_of(floor, *keys), 1e-6
+    for time in (1.0, 4.0):
+        before, after = (eye(path, time) - eye(path, time - small)) / small, (eye(path, time + small) - eye(path, time)) / small
+        assert before == pytest.approx(after, abs=1e-3)
+        assert np.linalg.norm(before[:2]) > 1.0
+
+
+def test_a_camera_that_stays_at_a_place_rests_there(floor):
+    """Which a spline that is twice differentiable does not: it swings."""
+    here, there = (0, 0, 5), (80, 10, 30)
+    path = path_of(floor, ("0s", here, (9, 9, 0)), ("2s", there, (9, 9, 0)), ("5s", there, (9, 9, 0)), ("6s", here, (9, 9, 0)))
+    resting = [eye(path, time) for time in np.linspace(2.0, 5.0, 13)]
+    assert np.ptp(resting, axis=0).max() < 1e-9
+    assert np.linalg.norm(eye(path, 1.0) - resting[0]) > 30.0
+
+
+HEIGHTS = st.lists(st.floats(1.0, 500.0), min_size=2, max_size=6)
+
+
+@given(HEIGHTS, st.data())
+def test_between_two_keys_it_is_never_lower_or_higher_than_both(floor, heights, data):
+    gaps = data.draw(st.lists(st.floats(0.01, 100.0), min_size=len(heights), max_size=len(heights)))
+    times = np.round(np.cumsum(gaps), 2)
+    keys = [
+        (f"{time:.2f}s", (3 * n, n % 2, height), (100, 100, 0)) for n, (time, height) in enumerate(zip(times, heights, strict=True))
+    ]
+    path = path_of(floor, *keys)
+    base = eye(path, times[0])[2] - heights[0]
+    for n in range(len(heights) - 1):
+        found = [eye(path, time)[2] - base for time in np.linspace(times[n], times[n + 1], 9)]
+        low, high = sorted(heights[n : n + 2])
+        assert low - 1e-6 <= min(found) and max(found) <= high + 1e-6
+
+
+@given(st.lists(st.tuples(st.floats(0.01, 50.0), st.floats(-100, 100), st.floats(-100, 100)), min_size=2, max_size=8))
+def test_no_key_is_passed_faster_than_three_times_the_slower_side(keys):
+    gaps, east, north = np.array(keys).T
+    times, places = np.cumsum(gaps), np.stack([east, north], axis=1)
+    speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(times)
+    found = np.linalg.norm(key_velocities(times, places), axis=1)
+    slower = np.minimum(np.append(speed, np.inf), np.append(np.inf, speed))
+    assert (found <= SPEED_BOUND * slower * (1.0 + 1e-9) + 1e-12).all()
+
+
+def test_velocities_at_inner_keys_are_those_of_the_parabola_through_their_neighbours():
+    times = np.array([0.0, 1.0, 1.5, 3.5, 4.0])
+    places = np.stack([times**2, 5.0 * times - times**2 / 4.0], axis=1)
+    assert key_velocities(times, places)[1:-1] == pytest.approx(np.stack([2.0 * times, 5.0 - times / 2.0], axis=1)[1:-1])
+
+
+def test_before_and_after_its_keys_it_rests(floor):
+    path = path_of(floor, ("2s", (0, 0, 5), (9, 9, 0)), ("3s", (50, 0, 5), (9, 9, 0)))
+    assert (eye(path, 0.0) == eye(path, 2.0)).all() and (eye(path, 99.0) == eye(path, 3.0)).all()
+    assert np.linalg.norm(eye(path, 0.0) - eye(path, 99.0)) == pytest.approx(50.0)
+
+
+def test_dates_are_counted_from_the_first_frame(hills):
+    view = next(view for view in hills.loaded.level.views.values() if view.kind == "perspective")
+    dated = CameraPathSpec.model_validate({
+        "keys": [{"at": f"2024-10-21T{hour}:00:00-04:00", "eye": view.eye, "target": view.target} for hour in (16, 18)]
+    })  # fmt: skip
+    start = datetime.fromisoformat("2024-10-21T19:30:00+00:00")
+    assert camera_path(dated, hills.place, start).times_s.tolist() == [1800.0, 9000.0]
+    with pytest.raises(InputError, match="the film has no date"):
+        camera_path(dated, hills.place, None)
+
+
+def test_across_the_antimeridian_it_takes_the_short_way(hills):
+    """Longitudes as written, -360 here: no turn round the earth between two keys."""
+    view = next(view for view in hills.loaded.level.views.values() if view.kind == "perspective")
+    lon, lat, height = view.eye
+    path = path_of(hills, ("0s", (lon, lat, height), view.target), ("2s", (lon + 360.001, lat, height), view.target))
+    moved = np.linalg.norm(eye(path, 1.0) - eye(path, 0.0))
+    assert 1.0 < moved < 100.0
+
+
+@pytest.mark.parametrize(
+    ("keys", "name", "allowed"),
+    [
+        ([("0s", (0, 0, 5), (9, 9, 0)), ("1s", (900, 0, 5), (9, 9, 0))], "keys.1.eye", "a position on the terrain's data"),
+        ([("0s", (0, 0, 5), (900, 9, 0)), ("1s", (90, 0, 5), (9, 9, 0))], "keys.0.target", "a position on the terrain's data"),
+    ],
+)
+def test_keys_off_the_data_are_named(floor, keys, name, allowed):
+    with pytest.raises(InputError) as caught:
+        path_of(floor, *keys)
+    assert (caught.value.name, caught.value.allowed) == (name, allowed)
+
+
+def test_a_way_off_the_data_or_under_the_ground_is_refused_where_it_is(floor, hills):
+    under = path_of(floor, ("0s", (0, 0, 5), (9, 9, 0)), ("1s", (50, 0, -5), (9, 9, 0)))
+    assert under.view_at(0.49, ROWS, COLS)
+    with pytest.raises(InputError, match="eye: '-2.5 m above the ground' is not allowed; allowed: more than 0 m"):
+        under.view_at(0.75, ROWS, COLS)
+    # A bow that swings off the floor, although its keys lie on it.
+    bow = path_of(
+        floor, *((f"{n}s", at, (0, 0, 0)) for n, at in enumerate([(150, -150, 5), (199, -60, 5), (199, 60, 5), (150, 150, 5)]))
+    )
+    with pytest.raises(InputError, match="a camera over the terrain's data"):
+        bow.view_at(1.5, ROWS, COLS)
+    met = path_of(floor, ("0s", (0, 0, 5), (9, 0, 5)), ("2s", (18, 0, 5), (9, 0, 5)))
+    with pytest.raises(InputError, match="target"):
+        met.view_at(1.0, ROWS, COLS)
