@@ -42,7 +42,7 @@ from terrain.gbuffer.antialias import finer_view
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
 from terrain.gbuffer.resolve import RELIEF
-from terrain.gbuffer.tree_instances import TREE_TRIANGLES, TreeInstances
+from terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame, World
@@ -187,7 +187,7 @@ def _draw_casters(gl: Device, target: Framebuffer, clip_from_caster: np.ndarray,
                 np.concatenate([instances.turn, instances.variant[:, None]], axis=1),
             )
             record.triangles += gl.draw_instances(
-                program, TREE_TRIANGLES, [("base", base), ("shape", instances.shape), ("look", variant)]
+                program, QUAD_TRIANGLES, [("base", base), ("shape", instances.shape), ("look", variant)]
             )
 
 

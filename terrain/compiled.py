@@ -25,7 +25,7 @@ CORES = (
 )
 """Threads of a process that its loops are shared out to."""
 
-SHARES = 3
+ROW_SHARES = 3
 """Shares of the rows for each of them: some rows take longer than others."""
 
 log = logging.getLogger("skugga")
@@ -86,7 +86,7 @@ def in_shares(rows: int, loop: Callable[..., Any], *args: Any) -> None:
     if CORES == 1 or rows < 2 * CORES:
         loop(0, rows, *args)
         return
-    ends = [rows * n // (SHARES * CORES) for n in range(SHARES * CORES + 1)]
+    ends = [rows * n // (ROW_SHARES * CORES) for n in range(ROW_SHARES * CORES + 1)]
     shares = [(first, last) for first, last in zip(ends, ends[1:], strict=False) if last > first]
     for share in [_threads().submit(loop, first, last, *args) for first, last in shares]:
         share.result()

@@ -60,7 +60,7 @@ LOBES = ((0.72, 0.40), (0.965, 0.55))
 TWILIGHT_DEG = 9.0
 """How far below the horizon the sun still colours the foot of the sky."""
 
-RUN = 1024
+PIXEL_RUN = 1024
 """Pixels that are worked on at a time."""
 
 HORIZON_AZIMUTHS = 129
@@ -198,10 +198,10 @@ def gradient_noise(x, y):
 @compiled
 def _sky(first, last, rows, cols, pixels, focal, up, level, sky, out):
     """In runs, by ``sky_colors``."""
-    px, py, sine, along = np.empty(RUN), np.empty(RUN), np.empty(RUN), np.empty(RUN)
-    color = np.empty((3, RUN))
-    for begin in range(first, last, RUN):
-        count = min(RUN, last - begin)
+    px, py, sine, along = np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN)
+    color = np.empty((3, PIXEL_RUN))
+    for begin in range(first, last, PIXEL_RUN):
+        count = min(PIXEL_RUN, last - begin)
         for n in range(count):
             px[n], py[n] = pixels[0] + cols[begin + n] * pixels[2], pixels[1] + rows[begin + n] * pixels[2]
         for n in range(count):

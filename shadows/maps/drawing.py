@@ -19,7 +19,7 @@ from terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_c
 from terrain.casters.reach import Casters
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import set_uniforms, shader
-from terrain.gbuffer.tree_instances import TREE_TRIANGLES, TreeInstances
+from terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
 from terrain.geo.grid import MapView
 from terrain.gl.device import Device, device
 from terrain.level.level import CasterKind
@@ -88,7 +88,7 @@ def draw_map(
                 gl.layers(foliage().levels).use(0)
                 variant = np.concatenate([trees.turn, trees.variant[:, None]], axis=1)
                 instances = [("base", trees.base_frame_m), ("shape", trees.shape), ("look", variant)]
-                record.triangles += gl.draw_instances(leaves, TREE_TRIANGLES, instances)
+                record.triangles += gl.draw_instances(leaves, QUAD_TRIANGLES, instances)
                 largest = max(largest, len(trees) * 40)
     record.map_texels += drawn.texels
     record.bytes = max(record.bytes, drawn.nbytes + largest)

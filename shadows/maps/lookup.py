@@ -9,7 +9,7 @@ import numpy as np
 from moderngl import Framebuffer, Program, Texture, Uniform
 
 from shadows.maps.drawing import MapSettings
-from shadows.maps.point_lookup import Comparison, LitPoints, look_points_up, sun_map
+from shadows.maps.point_lookup import DepthComparison, LitPoints, look_points_up, sun_map
 from shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, DISC_TAPS, WIDEST_TEXELS, samples_before_edges
 from shadows.maps.windows import DepthMap
 from shadows.passes import PassRecord
@@ -112,11 +112,11 @@ def look_up(
                 visibility.ravel()[chosen] = _drawn_pixels(gl, program, arrays, target, drawn, record).ravel()[: len(chosen)]
 
 
-def _comparison(settings: MapSettings, taps: int) -> Comparison:
+def _comparison(settings: MapSettings, taps: int) -> DepthComparison:
     by_triangles = settings.bias == "receiver_plane"
     # Beside known triangles there are fewer taps: a point moved far clear of its own misses what touches it.
     beside = min(taps, 2) if by_triangles else taps
-    return Comparison(by_triangles, settings.bias != "polygon_offset", np.float32(settings.bias_scale), taps, beside)
+    return DepthComparison(by_triangles, settings.bias != "polygon_offset", np.float32(settings.bias_scale), taps, beside)
 
 
 def _program(gl: Device, drawn: DepthMap, settings: MapSettings, filter: int | str, known: dict[str, bool]) -> Program:

@@ -31,7 +31,7 @@ class SunMap(NamedTuple):
     depth_step: np.float32
 
 
-class Comparison(NamedTuple):
+class DepthComparison(NamedTuple):
     """How depths are compared (``shadows.maps.settings``): on triangles that are known, or moved along normals, or neither; taps a
     side, and those where no triangle is known.
     """
@@ -63,7 +63,7 @@ def sun_map(drawn: DepthMap, depths: np.ndarray) -> SunMap:
     )  # fmt: skip
 
 
-def look_points_up(sun: SunMap, comparison: Comparison, points: LitPoints, chosen: np.ndarray, visibility: np.ndarray) -> None:
+def look_points_up(sun: SunMap, comparison: DepthComparison, points: LitPoints, chosen: np.ndarray, visibility: np.ndarray) -> None:
     """Put the share of lit texels round the ``chosen`` points (indices) into ``visibility`` (n,) float32."""
     in_shares(len(chosen), _look_up, sun, comparison, points, chosen, visibility)
 

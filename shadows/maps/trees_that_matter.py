@@ -15,7 +15,7 @@ from terrain.compiled import CORES, compiled, in_shares
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.tree_instances import tree_radius
 
-MASK_CELLS = 512
+RECEIVER_CELLS = 512
 """Cells of the mask along each side of a map."""
 
 
@@ -29,8 +29,8 @@ def trees_that_matter(drawn: DepthMap, buffer: GeometryBuffer, soft: bool) -> np
     which = trees.reaching(rotation, translation, np.array([low[0], low[1], -np.inf]), high)
     if drawn.pixels is not None and drawn.is_uniform and len(which):
         texel_m = np.array(drawn.uniforms["texel_m"])
-        cells = np.maximum((high - low)[:2] / MASK_CELLS, texel_m)
-        farthest = np.full((CORES, MASK_CELLS + 1, MASK_CELLS + 1), -np.inf, np.float32)
+        cells = np.maximum((high - low)[:2] / RECEIVER_CELLS, texel_m)
+        farthest = np.full((CORES, RECEIVER_CELLS + 1, RECEIVER_CELLS + 1), -np.inf, np.float32)
         parts = np.linspace(0, len(drawn.pixels), CORES + 1).astype(np.int64)
         in_shares(
             CORES, _farthest_receivers, parts, buffer.position_frame_m.reshape(-1, 3), drawn.pixels, rotation, translation, cells,

@@ -16,7 +16,7 @@ import numpy as np
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled, in_shares
 from terrain.gbuffer.ground_mesh import GroundMesh
-from terrain.gbuffer.tree_instances import TREE_TRIANGLES, TreeInstances
+from terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
@@ -137,7 +137,7 @@ def _draw_trees(
     set_uniforms(program, {**uniforms, **more})
     variant = np.concatenate([instances.turn, instances.variant[:, None]], axis=1)
     attributes = [("base", base[chosen]), ("shape", instances.shape[chosen]), ("look", variant[chosen])]
-    gl.draw_instances(program, TREE_TRIANGLES, attributes)
+    gl.draw_instances(program, QUAD_TRIANGLES, attributes)
 
 
 def _program(gl: Device, vertex: str, fragment: str, uniforms: dict[str, Any]) -> moderngl.Program:

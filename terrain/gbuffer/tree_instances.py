@@ -30,7 +30,7 @@ ALL_CROWNS_PX = 1.5
 MIN_DRAWN_SHARE = 1.0 / 16.0
 """No stand is thinned more."""
 
-TREE_TRIANGLES = np.array([[4 * quad + a, 4 * quad + b, 4 * quad + c] for quad in range(3) for a, b, c in ((0, 1, 2), (0, 2, 3))])
+QUAD_TRIANGLES = np.array([[4 * quad + a, 4 * quad + b, 4 * quad + c] for quad in range(3) for a, b, c in ((0, 1, 2), (0, 2, 3))])
 """The triangles (6, 3) of a tree's corners: two of each quad."""
 
 

@@ -64,7 +64,9 @@ def test_the_loop_compares_on_the_points_own_triangle(gl, landscape, monkeypatch
     right = drawn(landscape, map_size=256)
     with monkeypatch.context() as patch:
         patch.setattr(
-            lookup_module, "_comparison", lambda settings, taps: point_lookup.Comparison(False, False, np.float32(0), taps, taps)
+            lookup_module,
+            "_comparison",
+            lambda settings, taps: point_lookup.DepthComparison(False, False, np.float32(0), taps, taps),
         )
         plain = drawn(landscape, map_size=256)
     assert np.nanmean(plain.visibility) < np.nanmean(right.visibility) - 0.01
