@@ -1,11 +1,8 @@
 """A camera's way through key positions: smooth, without swinging past them, and at rest between two keys at one place.
 
-Places run along cubic Hermite curves, once differentiable. Their velocities at the keys are those of the parabola through a key
-and its neighbours (Overhauser 1968: Catmull and Rom's curve for uneven times), so that the way is the same whichever way north
-lies; shortened, where need be, to three times the speed of the slower neighbouring stretch (the bound of Fritsch and Carlson 1980
-for curves without overshoot), so that a camera that stays at a place really rests there. Heights and fields of view are PCHIP's:
-never beyond those of the two keys, so that a camera whose keys lie high stays high. Heights run in metres above the datum, not
-above the ground: a camera that followed every knoll under it would shake.
+Places, heights and fields of view run along curves of ``terrain.geo.keyed_curve``, as what moves in a level does: the way is the
+same whichever way north lies, and a camera whose keys lie high stays high. Heights run in metres above the datum, not above the
+ground: a camera that followed every knoll under it would shake.
 """
 
 from __future__ import annotations
@@ -15,15 +12,12 @@ from datetime import datetime
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from terrain.errors import InputError
 from terrain.geo.camera import PerspectiveView, look_at
+from terrain.geo.keyed_curve import KeyedCurve
 from terrain.ground.geolocate import Geolocator
 from terrain.level.camera_file import CameraPathSpec
-
-SPEED_BOUND = 3.0
-"""Most that a camera's speed at a key is of the mean speed on either side of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +39,7 @@ class CameraPath:
 
         Raises ``InputError`` where the eye is off the ground's data or not above it, or where it meets the target.
         """
-        time_s = float(np.clip(time_s, self.times_s[0], self.times_s[-1]))
-        eye, target = (np.array([*places(time_s), heights(time_s)]) for places, heights in self._curves)
+        eye, target = (np.concatenate([places.at(time_s), heights.at(time_s)]) for places, heights in self._curves)
         point, up = self.place.at_height((eye[0], eye[1]), eye[2])
         ground_m = self.place.ground_m((eye[0], eye[1]))
         if not np.isfinite(ground_m):
@@ -56,22 +49,19 @@ class CameraPath:
                 "eye", f"{eye[2] - ground_m:.3g} m above the ground", "more than 0 m: the camera goes under the ground"
             )
         target_point, _ = self.place.at_height((target[0], target[1]), target[2])
-        return look_at(point, target_point, up, float(self._fov(time_s)), rows, cols)
+        return look_at(point, target_point, up, float(self._fov.at(time_s)[0]), rows, cols)
 
     @cached_property
-    def _curves(self) -> tuple[tuple[CubicHermiteSpline, PchipInterpolator], ...]:
+    def _curves(self) -> tuple[tuple[KeyedCurve, KeyedCurve], ...]:
         """Place and height of the eye, and of the target."""
         return tuple(
-            (
-                CubicHermiteSpline(self.times_s, places[:, :2], key_velocities(self.times_s, places[:, :2])),
-                PchipInterpolator(self.times_s, places[:, 2]),
-            )
+            (KeyedCurve(self.times_s, places[:, :2]), KeyedCurve(self.times_s, places[:, 2:]))
             for places in (self.eyes, self.targets)
         )
 
     @cached_property
-    def _fov(self) -> PchipInterpolator:
-        return PchipInterpolator(self.times_s, self.fov_deg)
+    def _fov(self) -> KeyedCurve:
+        return KeyedCurve(self.times_s, self.fov_deg[:, None])
 
 
 def camera_path(spec: CameraPathSpec, place: Geolocator, start: datetime | None) -> CameraPath:
@@ -94,14 +84,3 @@ def camera_path(spec: CameraPathSpec, place: Geolocator, start: datetime | None)
         eyes[:, 0] = np.unwrap(eyes[:, 0], period=360.0)
         targets[:, 0] = np.unwrap(targets[:, 0], period=360.0)
     return CameraPath(place, np.array(times_s), eyes, targets, np.array([key.fov for key in spec.keys]))
-
-
-def key_velocities(times: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Velocities (n, d) at the keys of a curve through ``places`` (n, d) at rising ``times`` (n,)."""
-    lengths = np.diff(times)
-    chords = np.diff(places, axis=0) / lengths[:, None]
-    velocity = np.concatenate([chords[:1], chords[-1:]]) if len(times) == 2 else np.gradient(places, times, axis=0)
-    speed = np.linalg.norm(chords, axis=1)
-    bound = SPEED_BOUND * np.minimum(np.concatenate([speed[:1], speed]), np.concatenate([speed, speed[-1:]]))
-    length = np.linalg.norm(velocity, axis=1)
-    return velocity * np.minimum(1.0, bound / np.maximum(length, np.finfo(float).tiny))[:, None]

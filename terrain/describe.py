@@ -61,7 +61,7 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", p
     return Descriptor(
         view=name, flat_world=scene.world.flat, casters=scene.objects.kinds, lamps=lamps, relief_m=high - low,
         rows=rows, cols=cols, edge_share=0.0 if coarse_view is None else edge_share(coarse_view, trees),
-        pieces=pieces, stands=caster_facts_of(scene, drawn, trees), moves=_moves(scene),
+        pieces=pieces, stands=caster_facts_of(scene, drawn, trees), moves=bool(scene.loaded.level.movers),
         mean_slope_deg=mean_deg, p95_slope_deg=p95_deg, highest_slope_deg=highest_deg,
         sun_azimuth_deg=scene.sun and scene.sun.azimuth_deg, sun_altitude_deg=scene.sun and scene.sun.altitude_deg,
         highest_sun_deg=scene.highest_sun_deg, tallest_m=scene.objects.tallest_m, weather=scene.loaded.level.weather,
@@ -74,13 +74,6 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", p
 def _known(facts: dict[str, Fact]) -> dict[str, Fact]:
     """Facts of an effect, ``None`` for what is no number: the difference of two shadows without end, say."""
     return {key: None if isinstance(fact, float) and np.isnan(fact) else fact for key, fact in facts.items()}
-
-
-def _moves(scene: Scene) -> bool:
-    """Whether anything moves by the clock: a caster, or clouds that hide part of the sky."""
-    level = scene.loaded.level
-    drifts = 0.0 < level.weather.cloud_cover < 1.0
-    return drifts or any(mesh.motion is not None and mesh.motion.spin != 0.0 for mesh in level.meshes)
 
 
 def _area_share(scene: Scene, seen_light_m: tuple[float, float, float] | None) -> float:

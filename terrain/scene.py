@@ -28,7 +28,7 @@ from terrain.ground.surface import Surface
 from terrain.level.bundled import BUNDLED
 from terrain.level.level import SUN, LoadedLevel
 from terrain.level.parts import MapSpec, PerspectiveSpec, StyleSpec, SunSpec
-from terrain.lights import Lamp, LightPosition, lamp_of, light_position
+from terrain.lights import Lamp, LightPosition, light_position
 from terrain.own_sun import own_sun
 from terrain.scene_objects import SceneObjects
 from terrain.style import Style, style_of, styled
@@ -55,7 +55,8 @@ PLACES_A_SIDE = 33
 class Scene:
     """A level's ground and light. Immutable; ``with_sun`` and ``with_lamp`` give another one over the same ground.
 
-    ``moved_lamps`` are its lamps where they are not those of the level, ``styled`` how it is shaded where that is not the level's.
+    ``seconds`` is what the level's clock says: meshes, lamps and clouds are where they are then. ``moved_lamps`` are its lamps
+    where they are not those of the level, ``styled`` how it is shaded where that is not the level's.
     """
 
     loaded: LoadedLevel
@@ -63,6 +64,7 @@ class Scene:
     elevation: Elevation
     sun: Sun | None
     objects: SceneObjects
+    seconds: float = 0.0
     moved_lamps: Mapping[str, Lamp] = field(default_factory=dict)
     styled: StyleSpec | None = None
 
@@ -76,8 +78,7 @@ class Scene:
         """The lights besides the sun by name."""
         if self.moved_lamps:
             return dict(self.moved_lamps)
-        where = f"{self.loaded.path}: lights"
-        return {name: lamp_of(name, spec, self.place, f"{where}.{name}") for name, spec in self.loaded.level.lights.items()}
+        return {name: rig.at_second(self.seconds) for name, rig in self.objects.lamp_rigs.items()}
 
     @cached_property
     def style(self) -> Style:
@@ -114,8 +115,10 @@ class Scene:
         self.elevation.close()
 
     def at_second(self, seconds: float | None) -> Scene:
-        """The same scene at another time of the clock of moving casters (``None`` keeps the level's)."""
-        return self if seconds is None else replace(self, objects=self.objects.at_second(seconds))
+        """The same scene at another second of the level's clock, itself where nothing moves by it (``None`` keeps the level's)."""
+        if seconds is None or seconds == self.seconds or not self.loaded.level.movers:
+            return self
+        return replace(self, objects=self.objects.at_second(seconds), seconds=seconds)
 
     def with_sun(self, spec: SunSpec | None) -> Scene:
         """The same ground under another sun (``None`` keeps the level's)."""
@@ -363,7 +366,8 @@ def build_scene(loaded: LoadedLevel) -> Scene:
     loaded = with_own_sun(loaded, world, elevation)
     spec = loaded.level.sun
     sun = None if spec is None or spec == "none" else sun_of(spec, world)
-    return Scene(loaded, world, elevation, sun, SceneObjects(loaded, world, elevation, loaded.level.seconds))
+    seconds = loaded.level.seconds
+    return Scene(loaded, world, elevation, sun, SceneObjects(loaded, world, elevation, seconds), seconds)
 
 
 def with_own_sun(loaded: LoadedLevel, world: World, elevation: Elevation) -> LoadedLevel:

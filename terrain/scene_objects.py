@@ -1,4 +1,4 @@
-"""What stands on a level's ground: trees and meshes, read when they are first asked for, the same under every sun."""
+"""What stands on a level's ground: trees, meshes and lamps, read when they are first asked for, the same under every sun."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from pyproj import CRS
 from terrain.cache import MIB, cached
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
+from terrain.ground.geolocate import Geolocator
 from terrain.level.level import CasterKind, LoadedLevel
+from terrain.lights import LampRig, lamp_rig
 from terrain.meshes.facets import creases, face_normals
 from terrain.meshes.solids import Solids
 from terrain.trees.trees import Trees
@@ -26,7 +28,10 @@ CREASE_DISTANCE = 0.8
 
 @dataclass(frozen=True, eq=False)
 class SceneObjects:
-    """Trees and meshes of a level at a second of its clock. Properties raise ``LevelError`` or ``SourceError``."""
+    """Trees, meshes and lamps of a level; the meshes at a second of its clock, the same at all where none moves.
+
+    Properties raise ``LevelError`` or ``SourceError``.
+    """
 
     loaded: LoadedLevel
     world: World
@@ -40,13 +45,13 @@ class SceneObjects:
                 self.__dict__.pop(name, None)
 
     def at_second(self, seconds: float) -> SceneObjects:
-        """The population at another second; what the clock does not change is shared, so that no file is read again."""
-        level = self.loaded.level
-        drifts = 0.0 < level.weather.cloud_cover < 1.0
-        if seconds == self.seconds or not (drifts or any(mesh.motion for mesh in level.meshes)):
+        """The population at another second, itself where no mesh moves; what the clock does not change is shared, so that no file
+        is read again.
+        """
+        if seconds == self.seconds or not any(mesh.moves for mesh in self.loaded.level.meshes):
             return self
         other = replace(self, seconds=seconds)
-        other.__dict__.update({name: getattr(self, name) for name in ("trees", "placement", "solid_crease")})
+        other.__dict__.update({name: getattr(self, name) for name in ("trees", "placement", "solid_crease", "lamp_rigs")})
         return other
 
     @cached_property
@@ -67,6 +72,12 @@ class SceneObjects:
         from terrain.meshes.assemble import place_meshes
 
         return place_meshes(self.loaded, self.world, self.elevation)
+
+    @cached_property
+    def lamp_rigs(self) -> dict[str, LampRig]:
+        """The lights besides the sun by name, wherever the clock puts them."""
+        where, place = f"{self.loaded.path}: lights", Geolocator(self.world, self.elevation)
+        return {name: lamp_rig(name, spec, place, f"{where}.{name}") for name, spec in self.loaded.level.lights.items()}
 
     @cached_property
     def solids(self) -> Solids | None:
@@ -96,11 +107,13 @@ class SceneObjects:
 
     def solids_on(self, crs: CRS) -> np.ndarray:
         """x, y in a CRS and height in metres (n, 3) of the meshes' vertices."""
-        return _on(self, "solids", crs)
+        assert self.solids is not None
+        return _on(self.world, self.solids.vertices_earth_m, crs)
 
     def trees_on(self, crs: CRS) -> np.ndarray:
         """x, y in a CRS and height in metres (n, 3) of the trees' feet."""
-        return _on(self, "trees", crs)
+        assert self.trees is not None
+        return _on(self.world, self.trees.base_earth_m, crs)
 
     @cached_property
     def kinds(self) -> tuple[CasterKind, ...]:
@@ -124,11 +137,5 @@ class SceneObjects:
 
 
 @cached("scene", 512 * MIB)
-def _on(objects: SceneObjects, kind: str, crs: CRS) -> np.ndarray:
-    if kind == "solids":
-        assert objects.solids is not None
-        points = objects.solids.vertices_earth_m
-    else:
-        assert objects.trees is not None
-        points = objects.trees.base_earth_m
-    return np.stack(objects.world.map_position(crs, points), axis=-1)
+def _on(world: World, points_earth_m: np.ndarray, crs: CRS) -> np.ndarray:
+    return np.stack(world.map_position(crs, points_earth_m), axis=-1)

@@ -25,7 +25,7 @@ MAY_IMPORT = {
     "terrain.meshes": "geo ground level",
     "terrain.trees": "geo ground level",
     "terrain.lights": "geo ground level",
-    "terrain.scene_objects": "geo ground level meshes trees",
+    "terrain.scene_objects": "geo ground level lights meshes trees",
     "terrain.own_sun": "geo ground level",
     "terrain.viewpoint": "geo ground level",
     "terrain.style": "level",

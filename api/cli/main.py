@@ -68,7 +68,7 @@ StyleOption = Annotated[str | None, typer.Option(help=f"How relief is shaded: au
 SlopeExaggerationOption = Annotated[
     float | None, typer.Option(help="Factor of slopes in shading, 0.1 to 20; cast shadows stay true.")
 ]
-SecondsOption = Annotated[float | None, typer.Option(help="Clock for moving casters, seconds.")]
+SecondsOption = Annotated[float | None, typer.Option(help="The level's clock, seconds: what moves is where it is then.")]
 
 
 def _say_version(wanted: bool) -> None:

@@ -21,7 +21,7 @@ from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 MOST_SECONDS = 1e9
-"""Of the clock of moving casters, either way, as in level files."""
+"""Of a level's clock, either way, as in level files."""
 
 
 class Appearance(NamedTuple):

@@ -58,7 +58,13 @@ async def snapshot(
     seconds: Annotated[
         float | None,
         PLAIN_DECIMAL,
-        Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Clock of moving casters; default: the level's.", examples=[0]),
+        Query(
+            ge=-1e9,
+            le=1e9,
+            allow_inf_nan=False,
+            description="Clock of casters, lamps and clouds that move; default: the level's.",
+            examples=[0],
+        ),
     ] = None,
 ) -> Response:
     """A map or perspective view as the level has it, but for what the query asks; or one that the query itself makes, of an `eye`

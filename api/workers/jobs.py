@@ -146,7 +146,7 @@ class DescribedPlanJob(_Value):
 class SnapshotJob(_Value):
     """Draw a level's view, or another one that is ``seen_from`` elsewhere, and encode one layer of it.
 
-    ``size`` is (width, height) in pixels, ``seconds`` the clock of moving casters; ``None`` leaves either to the level.
+    ``size`` is (width, height) in pixels, ``seconds`` what the level's clock says; ``None`` leaves either to the level.
     ``light`` is the one whose visibility the layer shows, ``None`` the first.
     """
 

@@ -111,7 +111,7 @@ def cloud_layer_of(scene: Scene) -> CloudLayer:
     return CloudLayer(
         cover, threshold_of(cover), 1.0 - THROUGH * (1.0 - cover**4),
         max(_mean_height_m(scene.elevation) + LAYER_M, scene.height_range_m[1] + CLEARANCE_M),
-        anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.objects.seconds * np.array(DRIFT_M_PER_S),
+        anchor_from_earth @ scene.sun.to_sun_earth, centre, scene.seconds * np.array(DRIFT_M_PER_S),
     )  # fmt: skip
 
 

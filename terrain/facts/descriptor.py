@@ -48,10 +48,11 @@ class Descriptor(Facts):
     show (``terrain.gbuffer.covered_nodes``): ``pixel_m``, ``node_m`` and the rest are those of the pieces, ``pixels`` a block's
     pieces that are ground. ``casters`` are the kinds there are, ``stands`` what there is of each, ``lights``
     what each light does. ``relief_m`` is the range of the ground's heights, the slopes are those of the raster's overview,
-    ``moves`` whether anything does by the clock. ``receivers_light_m`` is the largest extent of a block's receivers in light
-    space: right, up and along the light, metres; ``None`` without a sun. ``bands`` are what a perspective view shows under the
-    sun, by distance. ``highest_sun_deg`` is the sun's largest altitude anywhere over the level. ``bend_px`` is how far a map lies
-    off what a camera could see of it (``terrain.casters.clip_space``). ``tallest_m`` is how far anything rises above its ground.
+    ``moves`` whether anything does by the clock: casters, lamps or clouds. ``receivers_light_m`` is the largest extent of a block's
+    receivers in light space: right, up and along the light, metres; ``None`` without a sun. ``bands`` are what a perspective view
+    shows under the sun, by distance. ``highest_sun_deg`` is the sun's largest altitude anywhere over the level. ``bend_px`` is how
+    far a map lies off what a camera could see of it (``terrain.casters.clip_space``). ``tallest_m`` is how far anything rises above
+    its ground.
     ``facts`` are what effects go by besides, by effect; JSON has no infinity: there it is written as text.
     """
 

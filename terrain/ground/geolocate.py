@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from pyproj import CRS
 
 from terrain.errors import LevelError
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
@@ -39,6 +40,14 @@ class Geolocator:
         point, up = self.world.ground(self.elevation.crs, np.float64(x), np.float64(y))
         return point + height_m * up, up
 
+    @property
+    def extent(self) -> str:
+        """The terrain's bounds, as positions are written."""
+        bounds = np.array(self.elevation.bounds)
+        if self.world.flat:
+            bounds = (bounds - np.tile([self.world.anchor_x, self.world.anchor_y], 2)) * self.world.metres_per_unit
+        return bounds_text(bounds, self.elevation.crs)
+
     def above_ground(self, position: tuple[float, float, float], where: str) -> tuple[np.ndarray, np.ndarray]:
         """Earth-fixed point (3,) at a height above the ground at a place, and the vertical there.
 
@@ -48,3 +57,11 @@ class Geolocator:
         if not np.isfinite(ground_m):
             raise LevelError(where, position, "a position on the terrain's data")
         return self.at_height(position[:2], ground_m + position[2])
+
+
+def bounds_text(bounds: np.ndarray | tuple[float, ...], crs: CRS) -> str:
+    """West, south, east, north for a person: degrees where there are any."""
+    if not crs.is_engineering:
+        west, south, east, north = bounds
+        bounds = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(west, south, east, north, densify_pts=21)
+    return ", ".join(f"{v:.5f}" if not crs.is_engineering else f"{v:.2f}" for v in bounds)

@@ -16,7 +16,8 @@ from terrain.level.data_files import special_kind
 from terrain.level.durations import parse_duration
 from terrain.level.level_errors import level_error
 from terrain.level.level_text import parse_level_text
-from terrain.level.parts import Model, PixelCount, Position, time_of
+from terrain.level.model import Model, Position
+from terrain.level.parts import PixelCount, time_of
 
 MOST_KEYS = 1000
 """Of a camera path."""

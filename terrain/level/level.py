@@ -23,13 +23,14 @@ from terrain.level.level_errors import level_error
 from terrain.level.level_source import KEYS_OF_OPTIONS, LevelSource
 from terrain.level.level_text import MOST_CHARACTERS, parse_level_text
 from terrain.level.linked_files import is_remote, linked_files
+from terrain.level.model import Model
+from terrain.level.motion import ClockSeconds
 from terrain.level.parts import (
     TIME_WORDS,
     ForestSpec,
     LightSpec,
     MapSpec,
     MeshSpec,
-    Model,
     StyleSpec,
     SunSpec,
     Terrain,
@@ -178,7 +179,7 @@ class Level(Model):
     lights: dict[LightName, LightSpec] = {}
     weather: Weather = Weather()
     style: StyleSpec = StyleSpec()
-    seconds: float = Field(default=0.0, ge=-1e9, le=1e9)
+    seconds: ClockSeconds = 0.0
     views: dict[str, ViewSpec] = {"map": MapSpec(kind="map")}
     shadows: LevelShadows = LevelShadows()
     effects: Literal["auto"] | dict[EffectName, Literal["auto", "on", "off"]] = "auto"
@@ -238,6 +239,13 @@ class Level(Model):
         if self.terrain.surface == "blocks" and eyes:
             raise PydanticCustomError("blocks", "smooth: blocks is for maps, and {views} is a perspective view", {"views": eyes[0]})
         return self
+
+    @property
+    def movers(self) -> tuple[str, ...]:
+        """What moves by the level's clock, by its key in the file: meshes, lamps, and clouds that hide a part of the sky."""
+        meshes = [f"meshes.{number}" for number, mesh in enumerate(self.meshes) if mesh.moves]
+        lamps = [f"lights.{name}" for name, light in self.lights.items() if light.moves]
+        return (*meshes, *lamps, *(("weather.cloud_cover",) if self.weather.drifts else ()))
 
     @property
     def light_names(self) -> tuple[str, ...]:

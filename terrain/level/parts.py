@@ -5,21 +5,13 @@ from __future__ import annotations
 import re
 from datetime import datetime
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    ModelWrapValidatorHandler,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from terrain.level.level_errors import UNKNOWN_KEY
+from terrain.level.model import MapPosition, Model, Position
+from terrain.level.motion import LampMotion, MeshMotion, wrong_parts
 
 Units = Literal["m", "ft", "us-ft"]
 METRES_PER_UNIT: dict[Units, float] = {"m": 1.0, "ft": 0.3048, "us-ft": 1200.0 / 3937.0}
@@ -31,9 +23,6 @@ GroundGenerator = Literal["ridges", "landscape"]
 GroundSurface = Literal["smooth", "blocks"]
 
 Metres = Annotated[float, Field(gt=0, le=1e7)]
-Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
-MapPosition = tuple[Coordinate, Coordinate]
-Position = tuple[Coordinate, Coordinate, Coordinate]
 PixelCount = Annotated[int, Field(ge=1, le=16384)]
 
 
@@ -59,37 +48,6 @@ def _without_nul(name: str) -> str:
 
 
 FileName = Annotated[str, Field(min_length=1), AfterValidator(_without_nul)]
-
-
-class Model(BaseModel):
-    """A part of a level file: immutable, without unknown keys, infinities or NaN."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    @model_validator(mode="wrap")
-    @classmethod
-    def _name_unknown_keys(cls, data: Any, validate: ModelWrapValidatorHandler[Self]) -> Self:
-        """Unknown keys are told together with what is wrong with the known ones, each with the keys that there are."""
-        unknown = [key for key in data if key not in cls.model_fields] if isinstance(data, dict) else []
-        if not unknown:
-            return validate(data)
-        known = ", ".join(cls.model_fields)
-        errors = [
-            InitErrorDetails(
-                type=PydanticCustomError(UNKNOWN_KEY, "unknown key", {"key": str(key), "known": known}), input=data[key]
-            )
-            for key in unknown
-        ]
-        try:
-            validate({key: value for key, value in data.items() if key not in unknown})
-        except ValidationError as error:
-            errors += [
-                InitErrorDetails(
-                    type=PydanticCustomError(each["type"], each["msg"], each.get("ctx")), loc=each["loc"], input=each["input"]
-                )
-                for each in error.errors()
-            ]
-        raise ValidationError.from_exception_data(cls.__name__, errors)
 
 
 class FlatGround(Model):
@@ -172,6 +130,11 @@ class Weather(Model):
     snow: bool = False
 
     @property
+    def drifts(self) -> bool:
+        """Whether clouds hide a part of the sky, and so drift by the level's clock."""
+        return 0.0 < self.cloud_cover < 1.0
+
+    @property
     def overcast(self) -> bool:
         """Whether clouds cover the whole sky, so that no direct sun arrives."""
         return self.cloud_cover >= 1.0
@@ -231,10 +194,7 @@ class ForestSpec(Model):
         return value
 
 
-class Motion(Model):
-    """How a mesh moves by the level's clock: ``spin`` in degrees per second, counter-clockwise about the up axis."""
-
-    spin: float = Field(default=0.0, ge=-1e6, le=1e6)
+BESIDE_PATH = "nothing beside a path of its motion, which says where it is"
 
 
 class MeshSpec(Model):
@@ -242,8 +202,8 @@ class MeshSpec(Model):
     from a file (OBJ, PLY, glTF), or a generated one.
 
     ``roof`` is the form of the roofs over footprints that are nearly rectangles; others are flat. ``at`` is where a model
-    stands: one place or several (degrees; metres on a made ground), its lowest point on the ground. ``turn`` is in degrees
-    counter-clockwise, ``color`` an sRGB albedo in [0, 1].
+    stands: one place or several (degrees; metres on a made ground), its lowest point on the ground; a path of its ``motion`` says
+    so instead. ``turn`` is in degrees counter-clockwise, ``color`` an sRGB albedo in [0, 1].
     """
 
     source: FileName | None = None
@@ -257,7 +217,7 @@ class MeshSpec(Model):
     turn: float = Field(default=0.0, ge=-1e6, le=1e6)
     color: tuple[float, float, float] | None = None
     caster: FileName | None = None
-    motion: Motion | None = None
+    motion: MeshMotion | None = None
 
     @field_validator("color")
     @classmethod
@@ -272,7 +232,14 @@ class MeshSpec(Model):
             raise PydanticCustomError("mesh", "either source or generate")
         if (self.surface is None) != (self.ground is None):
             raise PydanticCustomError("mesh", "surface and ground together: heights are surface minus ground")
+        if self.at is not None and self.motion is not None and self.motion.path is not None:
+            raise wrong_parts("mesh", [(("at",), self.at, BESIDE_PATH)])
         return self
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves by the level's clock."""
+        return self.motion is not None and self.motion.moves
 
     @property
     def places(self) -> list[MapPosition]:
@@ -321,15 +288,18 @@ class LightSpec(Model):
     ``cutoff`` is the half angle of a spot's cone, degrees. ``intensity`` is the irradiance at normal incidence, in units of the
     sun's, at the spot's target (an omni light: on the ground below it); it falls off with the square of the distance. ``radius``
     is that of the ball that shines, metres, whose shadows have penumbrae; 0: a point.
+
+    A path of its ``motion`` says where its position, its target or both are instead; ``intensity`` is that at its first key.
     """
 
     kind: Literal["spot", "omni"]
-    position: Position
+    position: Position | None = None
     target: Position | None = None
     cutoff: float = Field(default=35.0, gt=0, lt=85)
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
     intensity: float = Field(default=1.0, gt=0, le=1000)
     radius: float = Field(default=0.0, ge=0, le=100, allow_inf_nan=False)
+    motion: LampMotion | None = None
 
     @field_validator("color")
     @classmethod
@@ -340,11 +310,22 @@ class LightSpec(Model):
 
     @model_validator(mode="after")
     def _aimed(self) -> LightSpec:
-        if (self.kind == "spot") != (self.target is not None):
+        moved = () if self.motion is None else self.motion.moved
+        twice = [name for name in moved if getattr(self, name) is not None]
+        if twice:
+            raise wrong_parts("light", [((name,), getattr(self, name), BESIDE_PATH) for name in twice])
+        if self.position is None and "position" not in moved:
+            raise ValidationError.from_exception_data("light", [InitErrorDetails(type="missing", loc=("position",), input=None)])
+        if (self.kind == "spot") != (self.target is not None or "target" in moved):
             raise PydanticCustomError("target", "a target for a spot, none for an omni light")
         if self.target is not None and self.target == self.position:
             raise PydanticCustomError("target", "a target other than the position")
         return self
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves by the level's clock."""
+        return self.motion is not None
 
 
 class MapSpec(Model):

@@ -11,10 +11,12 @@ from terrain.errors import LevelError
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
 from terrain.ground.geolocate import Geolocator
+from terrain.ground.ground_path import path_over_ground
 from terrain.level.level import LoadedLevel
-from terrain.level.parts import MapPosition, MeshSpec
-from terrain.meshes.body import Body, PlacedBody, srgb_albedo, transformed, turn_about_up
-from terrain.meshes.buildings import bounds_text, buildings
+from terrain.level.model import MapPosition
+from terrain.level.parts import MeshSpec
+from terrain.meshes.body import Body, BodyMotion, PlacedBody, srgb_albedo, transformed, turn_about_up
+from terrain.meshes.buildings import buildings
 from terrain.meshes.models import is_model, read_model
 from terrain.meshes.solids import Solids
 
@@ -39,7 +41,7 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class _Spot:
-    """A point on the ground, earth-fixed, and the rotation (3, 3) from east, north, up there to earth-fixed axes."""
+    """An earth-fixed point, and a rotation (3, 3) to earth-fixed axes: from east, north, up there, or as a body is turned."""
 
     point_earth_m: np.ndarray
     earth_from_enu: np.ndarray
@@ -48,11 +50,13 @@ class _Spot:
 def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Placement:
     """What a level's meshes are and where they stand, whatever its clock says.
 
-    Raises ``LevelError`` for a key that does not fit or a place off the terrain, ``SourceError`` for a file that cannot be used.
+    Raises ``LevelError`` for a key that does not fit, a place off the terrain or a path under its ground, ``SourceError`` for a
+    file that cannot be used.
     """
     seen: list[PlacedBody] = []
     casting: list[PlacedBody] = []
     are_buildings: list[bool] = []
+    place = Geolocator(world, elevation)
     for number, spec in enumerate(loaded.level.meshes):
         where = f"{loaded.path}: meshes.{number}"
         from_footprints = spec.source is not None and not is_model(spec.source)
@@ -61,11 +65,11 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
             standing = stand_ins = buildings(spec, where, loaded, world, elevation)
         else:
             _refuse(spec, FOOTPRINT_KEYS, where, "no such key but for footprints")
-            places: Sequence[MapPosition | None] = spec.places or [None]
-            spots = [_spot(position, where, world, elevation) for position in places]
-            standing = stand_ins = _stood(_bodies(spec, loaded), spec, spots)
+            motion = _motion(spec, where, place)
+            spots = _spots(spec, motion, where, place)
+            standing = stand_ins = _stood(_bodies(spec, loaded), spec, spots, motion)
             if spec.caster is not None:
-                stand_ins = _stood([read_model(loaded.resolve(spec.caster))], spec, spots)
+                stand_ins = _stood([read_model(loaded.resolve(spec.caster))], spec, spots, motion)
         seen += standing
         casting += stand_ins
         are_buildings += [from_footprints] * len(stand_ins)
@@ -76,35 +80,47 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
 
 def solids(placement: Placement, seconds: float) -> Solids:
     """The triangles of placed bodies at a second of the clock."""
-    seen, turned = placement.seen, [_earth_from_body(placed, seconds) for placed in placement.seen]
-    vertices, triangles = _gathered(seen, seconds)
-    same = placement.casting is seen
-    caster_vertices, caster_triangles = (vertices, triangles) if same else _gathered(placement.casting, seconds)
-    counts = [len(placed.body.triangles) for placed in seen]
-    normals = [placed.body.corner_normals() @ axes.T.astype(np.float32) for placed, axes in zip(seen, turned, strict=True)]
+    on_paths: dict[int, _Spot] = {}
+    seen = [_stance(placed, seconds, on_paths) for placed in placement.seen]
+    vertices, triangles = _gathered(seen)
+    same = placement.casting is placement.seen
+    casting = seen if same else [_stance(placed, seconds, on_paths) for placed in placement.casting]
+    caster_vertices, caster_triangles = (vertices, triangles) if same else _gathered(casting)
+    counts = [len(body.triangles) for body, _ in seen]
+    normals = [body.corner_normals() @ spot.earth_from_enu.T.astype(np.float32) for body, spot in seen]
     return Solids(
         vertices_earth_m=vertices,
         triangles=triangles,
-        albedo=np.concatenate([np.empty((0, 3), np.float32), *(placed.body.albedo for placed in seen)]),
+        albedo=np.concatenate([np.empty((0, 3), np.float32), *(body.albedo for body, _ in seen)]),
         corner_normals_earth=np.concatenate([np.empty((0, 3, 3), np.float32), *normals]),
         body=np.repeat(np.arange(len(seen), dtype=np.int32), counts),
-        closed=tuple(placed.body.closed for placed in seen),
+        closed=tuple(body.closed for body, _ in seen),
         caster_vertices_earth_m=caster_vertices,
         caster_triangles=caster_triangles,
-        moving=any(placed.spin_deg_per_s != 0.0 for placed in (*seen, *placement.casting)),
     )
 
 
-def _gathered(bodies: Sequence[PlacedBody], seconds: float) -> tuple[np.ndarray, np.ndarray]:
+def _gathered(bodies: Sequence[tuple[Body, _Spot]]) -> tuple[np.ndarray, np.ndarray]:
     """Earth-fixed vertices (n, 3) and triangles (m, 3) int32 of all bodies."""
-    first = np.cumsum([0, *(len(placed.body.vertices_m) for placed in bodies)])
-    vertices = [placed.origin_earth_m + placed.body.vertices_m @ _earth_from_body(placed, seconds).T for placed in bodies]
-    triangles = [placed.body.triangles + np.int32(first_vertex) for placed, first_vertex in zip(bodies, first, strict=False)]
+    first = np.cumsum([0, *(len(body.vertices_m) for body, _ in bodies)])
+    vertices = [spot.point_earth_m + body.vertices_m @ spot.earth_from_enu.T for body, spot in bodies]
+    triangles = [body.triangles + np.int32(first_vertex) for (body, _), first_vertex in zip(bodies, first, strict=False)]
     return np.concatenate([np.empty((0, 3)), *vertices]), np.concatenate([np.empty((0, 3), np.int32), *triangles])
 
 
-def _earth_from_body(placed: PlacedBody, seconds: float) -> np.ndarray:
-    return placed.earth_from_body @ turn_about_up(placed.spin_deg_per_s * seconds)
+def _stance(placed: PlacedBody, seconds: float, on_paths: dict[int, _Spot]) -> tuple[Body, _Spot]:
+    """A body, its origin at a second of the clock and the rotation from its axes; ``on_paths`` are those known by their motion."""
+    motion = placed.motion
+    if motion is None:
+        return placed.body, _Spot(placed.origin_earth_m, placed.earth_from_body)
+    if motion.path is None:
+        return placed.body, _Spot(placed.origin_earth_m, placed.earth_from_body @ turn_about_up(motion.turn_deg(seconds)))
+    spot = on_paths.get(id(motion))
+    if spot is None:
+        point, up, _ = motion.path.at_second(seconds)
+        axes = motion.path.place.world.earth_from_enu(point, up) @ turn_about_up(motion.turn_deg(seconds))
+        spot = on_paths[id(motion)] = _Spot(point, axes)
+    return placed.body, spot
 
 
 def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
@@ -120,34 +136,46 @@ def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
     return [Body(body.vertices_m, body.triangles, srgb_albedo(spec.color)) for body in bodies]
 
 
-def _stood(bodies: list[Body], spec: MeshSpec, spots: list[_Spot]) -> list[PlacedBody]:
+def _stood(bodies: list[Body], spec: MeshSpec, spots: list[_Spot], motion: BodyMotion | None) -> list[PlacedBody]:
     """The bodies at every spot; one body at several spots is one value."""
-    spin = spec.motion.spin if spec.motion is not None else 0.0
     turned = [transformed(body, turn_deg=spec.turn, scale=spec.scale) for body in bodies]
-    return [PlacedBody(body, spot.point_earth_m, spot.earth_from_enu, spin) for spot in spots for body in turned]
+    return [PlacedBody(body, spot.point_earth_m, spot.earth_from_enu, motion) for spot in spots for body in turned]
 
 
-def _spot(at: MapPosition | None, where: str, world: World, elevation: Elevation) -> _Spot:
+def _motion(spec: MeshSpec, where: str, place: Geolocator) -> BodyMotion | None:
+    """How a level's mesh moves, if it does. Raises ``LevelError`` for a path off the terrain or under its ground."""
+    motion = spec.motion
+    if motion is None or not motion.moves:
+        return None
+    if motion.path is None:
+        return BodyMotion(motion.spin)
+    name = f"{where}.motion.path"
+    path = path_over_ground([(key.seconds, key.place) for key in motion.path], motion.loop, motion.above, place, name, "position")
+    path.check(name)
+    return BodyMotion(motion.spin, path, motion.face == "along")
+
+
+def _spots(spec: MeshSpec, motion: BodyMotion | None, where: str, place: Geolocator) -> list[_Spot]:
+    """Where a level's mesh stands, before it moves: of one on a path its first key."""
+    if motion is None or motion.path is None:
+        places: Sequence[MapPosition | None] = spec.places or [None]
+        return [_spot(position, where, place) for position in places]
+    point, up, _ = motion.path.at_second(float(motion.path.plan.times_s[0]))
+    return [_Spot(point, place.world.earth_from_enu(point, up))]
+
+
+def _spot(at: MapPosition | None, where: str, place: Geolocator) -> _Spot:
     """The ground at a place of a level, without one at the anchor. Raises ``LevelError`` off the terrain."""
-    x, y = (world.anchor_x, world.anchor_y) if at is None else Geolocator(world, elevation).xy(at)
+    world, elevation = place.world, place.elevation
+    x, y = (world.anchor_x, world.anchor_y) if at is None else place.xy(at)
     height = float(elevation.filled_ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
     if not np.isfinite(height):
-        raise LevelError(
-            f"{where}.at", "nothing" if at is None else at, f"a position on the terrain: within {_extent(world, elevation)}"
-        )
+        raise LevelError(f"{where}.at", "nothing" if at is None else at, f"a position on the terrain: within {place.extent}")
     point, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
     return _Spot(point + height * up, world.earth_from_enu(point, up))
-
-
-def _extent(world: World, elevation: Elevation) -> str:
-    """The terrain's bounds in the terms of ``at``."""
-    bounds = np.array(elevation.bounds)
-    if world.flat:
-        bounds = (bounds - np.tile([world.anchor_x, world.anchor_y], 2)) * world.metres_per_unit
-    return bounds_text(bounds, elevation.crs)
 
 
 def _refuse(spec: MeshSpec, keys: tuple[str, ...], where: str, allowed: str) -> None:
     for key in keys:
         if key in spec.model_fields_set:
-            raise LevelError(f"{where}.{key}", getattr(spec, key), allowed)
+            raise LevelError(f"{where}.{key}", spec.model_dump(include={key}, exclude_unset=True)[key], allowed)

@@ -11,6 +11,7 @@ import trimesh
 
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
+from terrain.ground.ground_path import GroundPath
 from terrain.srgb import linear_of_srgb
 
 NEUTRAL = (0.6, 0.6, 0.6)
@@ -99,16 +100,33 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedBody:
-    """A body on the earth: ``vertex_earth = origin_earth_m + earth_from_body @ vertex``.
+class BodyMotion:
+    """How a body moves by the clock: turning about its up axis, along a path, or both.
 
-    ``earth_from_body`` is a rotation (3, 3) float64. ``spin_deg_per_s`` turns the body about its own up axis.
+    ``along`` says whether what faces south of it goes first.
+    """
+
+    spin_deg_per_s: float = 0.0
+    path: GroundPath | None = None
+    along: bool = False
+
+    def turn_deg(self, seconds: float) -> float:
+        """How far it is turned at a second of the clock, counter-clockwise, degrees."""
+        heading = 180.0 - self.path.azimuth_deg(seconds) if self.along and self.path is not None else 0.0
+        return heading + self.spin_deg_per_s * seconds
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedBody:
+    """A body on the earth: ``vertex_earth = origin_earth_m + earth_from_body @ vertex``, where it stands without its ``motion``.
+
+    ``earth_from_body`` is a rotation (3, 3) float64.
     """
 
     body: Body
     origin_earth_m: np.ndarray
     earth_from_body: np.ndarray
-    spin_deg_per_s: float = 0.0
+    motion: BodyMotion | None = None
 
 
 def box(size_m: VectorLike, centre_m: VectorLike = (0.0, 0.0, 0.0), albedo: VectorLike | None = None) -> Body:

@@ -23,8 +23,9 @@ from scipy.spatial import cKDTree
 
 from terrain.errors import LevelError, SourceError
 from terrain.geo.vectors import Features, attribute_names, check_divided, numbers, read_features
-from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.geo.world import World, transformer
 from terrain.ground.elevation import Elevation
+from terrain.ground.geolocate import bounds_text
 from terrain.level.bundled import BUNDLED
 from terrain.level.level import LoadedLevel
 from terrain.level.parts import MeshSpec, RoofForm
@@ -368,11 +369,3 @@ def _materials(centre: np.ndarray, crs: CRS) -> tuple[np.ndarray, np.ndarray]:
     wall, roof = WALL_COLORS[bits % len(WALL_COLORS)], ROOF_COLORS[(bits >> 8) % len(ROOF_COLORS)]
     shade = ALBEDO_VARIATION[0] + (ALBEDO_VARIATION[1] - ALBEDO_VARIATION[0]) * (bits >> 16) / 0xFFFF
     return srgb_albedo(np.array(wall) * shade), srgb_albedo(np.array(roof) * shade)
-
-
-def bounds_text(bounds: np.ndarray | tuple[float, ...], crs: CRS) -> str:
-    """West, south, east, north for a person: degrees where there are any."""
-    if not crs.is_engineering:
-        west, south, east, north = bounds
-        bounds = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(west, south, east, north, densify_pts=21)
-    return ", ".join(f"{v:.5f}" if not crs.is_engineering else f"{v:.2f}" for v in bounds)

@@ -27,8 +27,6 @@ class Solids:
         For each body whether its surface is closed (every edge shared by two triangles of opposite direction).
     caster_vertices_earth_m, caster_triangles
         What casts: the same arrays, but for bodies that have a stand-in.
-    moving
-        Whether anything moves by the level's clock.
     """
 
     vertices_earth_m: np.ndarray
@@ -39,4 +37,3 @@ class Solids:
     closed: tuple[bool, ...]
     caster_vertices_earth_m: np.ndarray
     caster_triangles: np.ndarray
-    moving: bool = False

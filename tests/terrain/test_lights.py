@@ -57,12 +57,19 @@ def square(scene: Scene, half: float = 40.0, px: int = 80):
     return view, x, y
 
 
-def light_of(scene: Scene, view, names: tuple[str, ...]) -> np.ndarray:
-    """Linear colour (rows, cols, 3) of a view where some lights reach all that faces them."""
+def shone(scene: Scene, view, names: tuple[str, ...]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Where some lights reach all that faces them, and the light (rows, cols, 3) of the lamps among them."""
     buffer = geometry_of(scene, view)
     shines = {name: np.where(attached(buffer, scene, name), 0.0, 1.0).astype(np.float32) for name in names}
     lamplight = np.zeros((*buffer.there.shape, 3), np.float32)
     apply_lamps(lamplight, ShadingBlock(scene, view, buffer, shines))
+    return shines, lamplight
+
+
+def light_of(scene: Scene, view, names: tuple[str, ...]) -> np.ndarray:
+    """Linear colour (rows, cols, 3) of a view where some lights reach all that faces them."""
+    buffer = geometry_of(scene, view)
+    shines, lamplight = shone(scene, view, names)
     return shade(buffer, scene, shines.get("sun", np.zeros(buffer.there.shape, np.float32)), lamplight=lamplight)
 
 
@@ -237,6 +244,66 @@ def test_a_lamp_off_the_data_is_refused_in_one_line(floor, make_scene, light, sa
     with pytest.raises(LevelError, match=said) as caught:
         _ = scene.lamps
     assert "\n" not in str(caught.value) and "terrain's data" in str(caught.value)
+
+
+def moving(kind: str, *keys: dict, **own) -> dict:
+    motion = {name: own.pop(name) for name in ("loop", "above") if name in own}
+    return {"lamp": {"kind": kind, "motion": {"path": list(keys), **motion}, **own}}
+
+
+def test_a_lamp_that_moves_is_as_strong_all_the_way(floor, make_scene):
+    """The ground near it is as bright as it was at its first key, but for the square of the distance and the slant."""
+    path = {"seconds": 0, "position": [0, 0, 10]}, {"seconds": 8, "position": [50, 0, 40]}
+    scene = make_scene(floor, lights=moving("omni", *path))
+    still = make_scene(floor, lights=omni(10.0))
+    view, x, y = square(scene)
+    light, same, later = (shone(each, view, ("lamp",))[1][..., 0] for each in (scene, still, scene.at_second(8.0)))
+    np.testing.assert_array_equal(light, same)
+    away_m = np.hypot(39.5 - 50, 40)
+    at = {east: (np.abs(x - east) < 0.6) & (np.abs(y) < 0.6) for east in (0.0, 39.5)}
+    assert later[at[39.5]].mean() == pytest.approx(light[at[0.0]].mean() * 10**2 / away_m**2 * 40 / away_m, rel=0.02)
+
+
+def test_a_searchlight_turns_to_what_it_lights(floor, make_scene):
+    """Its place stays; above the sea, its target too."""
+    aims = {"seconds": 2, "target": [-30, 0, 0]}, {"seconds": 6, "target": [30, 0, 0]}
+    scene = make_scene(floor, lights=moving("spot", *aims, position=[0, 0, 30], cutoff=8, above="sea"))
+    for seconds, aim in ((0.0, -30), (4.0, 0), (6.0, 30)):
+        lamp = scene.at_second(seconds).lamps["lamp"]
+        np.testing.assert_allclose(lamp.position_earth_m, [0, 0, 30], atol=1e-6)
+        np.testing.assert_allclose(lamp.earth_from_lamp[:, 2] * np.hypot(aim, 30), [aim, 0, -30], atol=1e-6)
+        assert lamp.reference_m == pytest.approx(np.hypot(30, 30))
+        view, x, y = square(scene)
+        lit = shone(scene.at_second(seconds), view, ("lamp",))[1].sum(axis=-1) > 0
+        assert x[lit].mean() == pytest.approx(aim, abs=3.0) and np.abs(y[lit]).max() < 8
+
+
+@pytest.mark.parametrize(
+    ("light", "said"),
+    [
+        (
+            moving("omni", {"seconds": 0, "position": [0, 0, 5]}, {"seconds": 3, "position": [0, 400, 5]}),
+            "lights.lamp.motion.path.1.position: '(0.0, 400.0, 5.0)' is not allowed; allowed: a position on the terrain: within",
+        ),
+        (
+            moving("omni", {"seconds": 0, "position": [0, 0, 5]}, {"seconds": 4, "position": [0, 40, -5]}),
+            "lights.lamp.motion.path: at -",
+        ),
+        (
+            moving("spot", {"seconds": 0, "position": [-10, 0, 5]}, {"seconds": 4, "position": [10, 0, 5]}, target=[0, 0, 5]),
+            "lights.lamp.motion.path: the light is where its target is at second 2; allowed: positions 0.1 m from the target",
+        ),
+        (
+            moving("spot", {"seconds": 0, "target": [-10, 0, 0]}, {"seconds": 4, "target": [600, 0, 0]}, position=[0, 0, 9]),
+            "lights.lamp.motion.path.1.target: '(600.0, 0.0, 0.0)' is not allowed",
+        ),
+    ],
+)
+def test_a_path_of_a_lamp_that_cannot_be_is_refused_in_one_line(floor, make_scene, light, said):
+    scene = make_scene(floor, lights=light)
+    with pytest.raises(LevelError) as caught:
+        _ = scene.lamps
+    assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

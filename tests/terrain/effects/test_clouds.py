@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -31,7 +30,6 @@ from terrain.effects.effect import ShadingBlock
 from terrain.gbuffer.picture import geometry_of
 from terrain.ground.noise import noise_at
 from terrain.scene import Scene
-from terrain.scene_objects import SceneObjects
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32616"
@@ -68,10 +66,6 @@ def sunlight_of(scene: Scene, view=None) -> np.ndarray:
 def plan_of(scene: Scene, view, wish: str = "auto") -> Plan:
     level = scene.loaded.level.model_copy(update={"effects": {"clouds": wish}})
     return make_plan(describe(scene, view), level, {})
-
-
-def at_second(scene: Scene, seconds: float) -> Scene:
-    return replace(scene, objects=SceneObjects(scene.loaded, scene.world, scene.elevation, seconds))
 
 
 @pytest.mark.parametrize("cover", [0.02, 0.1, 0.35, 0.5, 0.8, 0.97])
@@ -148,11 +142,11 @@ def test_same_ground_same_cloud_in_every_view(cloudy) -> None:
 
 def test_clouds_drift_by_the_clock(cloudy) -> None:
     scene = cloudy(0.4)
-    layer, later = cloud_layer_of(scene), cloud_layer_of(at_second(scene, 60.0))
+    layer, later = cloud_layer_of(scene), cloud_layer_of(scene.at_second(60.0))
     east, north = later.drift_m - layer.drift_m
     assert np.hypot(east, north) == pytest.approx(600.0)
     assert np.degrees(np.arctan2(east, north)) == pytest.approx(67.5)
-    assert not np.array_equal(sunlight_of(scene), sunlight_of(at_second(scene, 60.0)))
+    assert not np.array_equal(sunlight_of(scene), sunlight_of(scene.at_second(60.0)))
 
 
 def test_pixels_wider_than_the_clouds_show_their_mean(cloudy) -> None:
@@ -188,7 +182,7 @@ def test_left_out_where_it_cannot_be_seen_and_called_for_where_it_can(cloudy) ->
     scene = cloudy(0.02, size=40)
     called, vain = 0, 0
     for second in range(0, 8000, 400):
-        later = at_second(scene, float(second))
+        later = scene.at_second(float(second))
         view = later.view(size=(120, 120))
         on, off = (render_frame(later, view, plan_of(later, view, wish)).color.astype(int) for wish in ("on", "off"))
         difference = np.abs(on - off).max()
@@ -226,7 +220,7 @@ def test_perspective_counts_what_is_seen(cloudy) -> None:
     spec = level.views["down"].model_copy(update={"eye": (lon, lat, 400.0), "target": (lon, lat + 1e-5, 0.0)})
     verdicts = []
     for second in range(0, 3000, 300):
-        later = at_second(scene, float(second))
+        later = scene.at_second(float(second))
         view = later.view_from(spec)
         light = sunlight_of(later, view)
         seen = clouds.called_for(describe(later, view, "down")).called_for

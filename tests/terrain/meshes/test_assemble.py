@@ -63,7 +63,7 @@ def test_a_model_stands_at_its_place_turned_and_scaled(scene_of):
     np.testing.assert_allclose(result.vertices_earth_m.min(axis=0), [18, 10, 0], atol=1e-6)
     np.testing.assert_allclose(result.vertices_earth_m.max(axis=0), [22, 22, 8], atol=1e-6)
     np.testing.assert_allclose(result.albedo, np.tile(srgb_albedo((0.5, 0.5, 0.5)), (12, 1)))
-    assert result.closed == (True,) and not result.moving
+    assert result.closed == (True,)
     assert result.triangles.dtype == np.int32 and result.albedo.dtype == np.float32
     assert result.caster_vertices_earth_m is result.vertices_earth_m and result.caster_triangles is result.triangles
 
@@ -83,7 +83,79 @@ def test_a_spinning_model_turns_about_its_own_up_axis_by_the_clock(scene_of):
     arm = still.vertices_earth_m - (20, 10, 0)
     np.testing.assert_allclose(later.vertices_earth_m - (20, 10, 0), arm @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-9)
     np.testing.assert_allclose(round_once.vertices_earth_m, still.vertices_earth_m, atol=1e-9)
-    assert still.moving
+    assert scene.loaded.level.movers == ("meshes.0",)
+
+
+def along_a_path(scene_of, **motion):
+    keys = [{"seconds": 0, "position": [-40, -30]}, {"seconds": 8, "position": [40, 30, 5]}]
+    return scene_of(FLOOR, {"source": "arrow.ply", "turn": -90, "motion": {"path": keys, **motion}})
+
+
+def test_a_model_on_a_path_is_where_its_keys_say(scene_of):
+    """Turned by its turn alone: the arrow, which points east, to the south."""
+    scene = along_a_path(scene_of)
+    for seconds, origin in (
+        (-9.0, (-40, -30, 0)),
+        (0.0, (-40, -30, 0)),
+        (4.0, (0, 0, 2.5)),
+        (8.0, (40, 30, 5)),
+        (1e6, (40, 30, 5)),
+    ):
+        corners = assembled(scene, seconds).vertices_earth_m - origin
+        np.testing.assert_allclose(corners.min(axis=0), [-1, -6, 0], atol=1e-6)
+        np.testing.assert_allclose(corners.max(axis=0), [1, 0, 4], atol=1e-6)
+    assert scene.at_second(4.0).objects.tallest_m == pytest.approx(6.5) and scene.loaded.level.movers == ("meshes.0",)
+
+
+def test_what_faces_south_goes_first_along_a_path(scene_of):
+    """The arrow, turned to the south, points along its way: 4 east for 3 north; a spin turns it on from there."""
+    ahead = np.array([0.8, 0.6, 0.0])
+    for scene, seconds, way in (
+        (along_a_path(scene_of, face="along"), 0.0, ahead),
+        (along_a_path(scene_of, face="along"), 4.0, ahead),
+        (along_a_path(scene_of, face="along", spin=45), 2.0, np.array([-0.6, 0.8, 0.0])),
+    ):
+        result = assembled(scene, seconds)
+        origin = scene.objects.placement.seen[0].motion.path.at_second(seconds).point_earth_m
+        along_m = (result.vertices_earth_m - origin) @ way
+        across_m = (result.vertices_earth_m - origin) @ np.cross([0, 0, 1], way)
+        assert (along_m.min(), along_m.max()) == pytest.approx((0, 6), abs=1e-4)
+        assert (across_m.min(), across_m.max()) == pytest.approx((-1, 1), abs=1e-4)
+        corner = result.vertices_earth_m[result.triangles]
+        face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        face /= np.linalg.norm(face, axis=1, keepdims=True)
+        np.testing.assert_allclose(result.corner_normals_earth, np.repeat(face[:, None], 3, axis=1), atol=1e-6)
+
+
+def test_all_bodies_of_a_mesh_and_what_stands_in_for_them_go_together(scene_of):
+    keys = [{"seconds": 0, "position": [-40, -30]}, {"seconds": 8, "position": [40, 30, 5]}]
+    scene = scene_of(FLOOR, {"generate": "tetrahedra", "caster": "arrow.ply", "motion": {"path": keys}})
+    before, after = assembled(scene, 0.0), assembled(scene, 8.0)
+    shift = np.broadcast_to([80, 60, 5], before.vertices_earth_m.shape)
+    np.testing.assert_allclose(after.vertices_earth_m - before.vertices_earth_m, shift, atol=1e-9)
+    np.testing.assert_allclose((after.caster_vertices_earth_m - before.caster_vertices_earth_m)[:8], shift[:8], atol=1e-9)
+    assert len(after.caster_triangles) == 12
+
+
+def test_a_path_begins_to_the_bit_where_a_model_would_stand(scene_of):
+    """So that a level whose mesh is set in motion keeps its picture at its first second."""
+    still = scene_of(FLOOR, {"source": "arrow.ply", "at": [20.1, 10.7], "motion": {"spin": 30}})
+    keys = [{"seconds": 0, "position": [20.1, 10.7]}, {"seconds": 7, "position": [0, 0, 9]}]
+    moving = scene_of(FLOOR, {"source": "arrow.ply", "motion": {"path": keys, "spin": 30}})
+    np.testing.assert_array_equal(assembled(moving).vertices_earth_m, assembled(still).vertices_earth_m)
+    np.testing.assert_array_equal(assembled(moving).corner_normals_earth, assembled(still).corner_normals_earth)
+
+
+def test_on_the_globe_a_model_on_a_path_stands_upright_on_its_ground(scene_of, hill):
+    """Up the hill, which rises by 1 m on 10: half-way between its keys, its nose to the east."""
+    keys = [{"seconds": n * 10, "position": list(degrees_of(x, 5001000))} for n, x in enumerate((501000, 503000))]
+    scene = scene_of({"source": str(hill)}, {"source": "arrow.ply", "turn": -90, "motion": {"path": keys, "face": "along"}})
+    lon, lat = degrees_of(502000, 5001000)
+    point, up = geocentric(np.float64(lon), np.float64(lat))
+    ground = 100 + (2000 - 5) / 10
+    local = (assembled(scene, 5.0).vertices_earth_m - (point + ground * up)) @ scene.world.earth_from_enu(point, up)
+    np.testing.assert_allclose(local.min(axis=0), [0, -1, 0], atol=2e-2)
+    np.testing.assert_allclose(local.max(axis=0), [6, 1, 4], atol=2e-2)
 
 
 def test_another_second_reads_no_file_again(scene_of, monkeypatch, tmp_path):
@@ -170,13 +242,25 @@ def test_holes_under_a_model_are_filled(scene_of, write_raster):
         ({"source": "arrow.ply", "at": [101, 0]}, None, []),  # on the outermost half cell
         ({"source": "arrow.ply", "at": [120, 0]}, LevelError, ["meshes.0.at", "(120.0, 0.0)", "-105.00, -55.00, 105.00, 55.00"]),
         ({"source": "arrow.ply", "at": [[0, 0], [0, 80]]}, LevelError, ["meshes.0.at", "(0.0, 80.0)", "within"]),
+        (
+            {"source": "arrow.ply", "motion": {"path": [{"seconds": n, "position": [n * 80, 0]} for n in range(3)]}},
+            LevelError, ["meshes.0.motion.path.2.position", "(160.0, 0.0, 0.0)", "-105.00, -55.00, 105.00, 55.00"],
+        ),
+        (
+            {"source": "arrow.ply", "motion": {"path": [{"seconds": n, "position": [n, 0, 2 - 4 * n]} for n in range(2)]}},
+            LevelError, ["meshes.0.motion.path: at -", "under the ground, which is at 0.00 m", "a path above the ground"],
+        ),
+        (
+            {"source": "none.geojson", "motion": {"path": [{"seconds": n, "position": [n, 0]} for n in range(2)]}},
+            LevelError, ["meshes.0.motion: ", "footprints, which stand where their file says"],
+        ),
         ({"source": "arrow.ply", "height": 4}, LevelError, ["meshes.0.height", "footprints"]),
         ({"generate": "boxgrid", "surface": "a.tif", "ground": "b.tif"}, LevelError, ["meshes.0.surface", "footprints"]),
         ({"source": "none.obj"}, SourceError, ["none.obj", "no such file"]),
         ({"source": "arrow.ply", "caster": "none.obj"}, SourceError, ["none.obj", "no such file"]),
         ({"source": "none.geojson", "height": 3}, SourceError, ["none.geojson", "no such file"]),
     ],
-)
+)  # fmt: skip
 def test_what_is_refused_says_why_in_one_line(scene_of, mesh, kind, said):
     scene = scene_of(FLOOR, mesh)
     if kind is None:

@@ -13,6 +13,7 @@ from configs import LEVELS_FOLDER
 from terrain.level.level import load_level
 from terrain.level.parts import MapSpec, MeshGenerator, PerspectiveSpec
 from terrain.meshes.generators import GENERATORS, shapes
+from terrain.scene import build_scene
 
 TRIANGLES = {"boxgrid": 12_000, "rocks": 63_000, "street": 400, "room": 19_000, "water_tower": 12_500}
 """As in the thesis, section 7."""
@@ -152,8 +153,23 @@ def test_spatialace_has_ten_thousand_triangles_and_a_turning_figure():
     level = loaded.level
     made = level.terrain.generate
     assert 2 * np.prod(np.array(made.size) / made.cell) == pytest.approx(10_000, rel=0.03)
+    assert loaded.level.movers == ("meshes.1",)
     assert [mesh.motion.spin for mesh in level.meshes if mesh.generate == "tetrahedra"] == [30]
     assert level.views["main"].size == (800, 600)
+
+
+def test_spatialace_s_figure_flies_round_clear_of_trees_and_begins_where_it_stands():
+    """Its pictures of second 0 are those of a figure that only turns."""
+    scene = build_scene(load_level(LEVELS_FOLDER / "spatialace.yaml"))
+    path = scene.objects.placement.seen[-1].motion.path
+    trees = scene.objects.trees_on(scene.elevation.crs)[:, :2]
+    begins = path.at_second(0.0).point_earth_m
+    np.testing.assert_array_equal(begins, scene.place.above_ground((150, -22, 0), "here")[0])
+    for seconds in np.arange(0.0, 40.0, 0.5):
+        at, _, above_m = path.at_second(float(seconds))
+        assert np.linalg.norm(trees - at[:2], axis=1).min() > 20.0 and 0.0 <= above_m <= 20.0
+        np.testing.assert_allclose(path.at_second(float(seconds) + 400.0).point_earth_m, at, atol=1e-6)
+    assert path.at_second(20.0).above_ground_m == pytest.approx(20.0)
 
 
 # The shapes, against volumes that are known.

@@ -1,0 +1,45 @@
+"""What all parts of a level file are: immutable values whose wrong keys are named; and how places are written."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from terrain.level.level_errors import UNKNOWN_KEY
+
+Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
+MapPosition = tuple[Coordinate, Coordinate]
+Position = tuple[Coordinate, Coordinate, Coordinate]
+
+
+class Model(BaseModel):
+    """A part of a level file: immutable, without unknown keys, infinities or NaN."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _name_unknown_keys(cls, data: Any, validate: ModelWrapValidatorHandler[Self]) -> Self:
+        """Unknown keys are told together with what is wrong with the known ones, each with the keys that there are."""
+        unknown = [key for key in data if key not in cls.model_fields] if isinstance(data, dict) else []
+        if not unknown:
+            return validate(data)
+        known = ", ".join(cls.model_fields)
+        errors = [
+            InitErrorDetails(
+                type=PydanticCustomError(UNKNOWN_KEY, "unknown key", {"key": str(key), "known": known}), input=data[key]
+            )
+            for key in unknown
+        ]
+        try:
+            validate({key: value for key, value in data.items() if key not in unknown})
+        except ValidationError as error:
+            errors += [
+                InitErrorDetails(
+                    type=PydanticCustomError(each["type"], each["msg"], each.get("ctx")), loc=each["loc"], input=each["input"]
+                )
+                for each in error.errors()
+            ]
+        raise ValidationError.from_exception_data(cls.__name__, errors)

@@ -1,0 +1,222 @@
+"""What moves by the clock throws its shadow where it is then: boxes on paths under the sun, posts in the light of lamps that move.
+
+Everything stands on level ground, so that each shadow is known: it is the outline of the box's corners as the light throws them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+import trimesh
+
+from shadows.point.horizon import sun_reaches, surroundings
+from shadows.point.place import place_at
+from shadows.render import Frame
+from terrain.describe import describe
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.grid import MapView
+from terrain.level.level import SUN, load_level
+from terrain.scene import Scene, build_scene
+from tests.render import render
+
+MARGIN_M = 0.35
+"""How near to an outline a pixel (0.5 m in the map) may be on the wrong side."""
+
+BOX_M = (4.0, 6.0, 3.0)
+
+AWAY = [{"seconds": 0, "position": [22, 20]}, {"seconds": 10, "position": [82, 60, 24]}]
+"""Half-way in place and height at half the time, since it starts and stops alike; its shadow falls west of it, by its height."""
+
+POST = {"source": "box.ply", "at": [50, 50]}
+
+EYE = [50, -60, 55]
+
+ALGORITHMS = ("shadow_map", "shadow_volume", "hybrid", "truth")
+
+Build = Callable[..., Scene]
+
+
+@pytest.fixture
+def build(tmp_path: Path) -> Build:
+    """``build(**keys)``: the scene of a level over level ground of 200 m; the file beside it is a box on its base."""
+    box = trimesh.creation.box(extents=BOX_M)
+    box.apply_translation([0.0, 0.0, BOX_M[2] / 2])
+    box.export(tmp_path / "box.ply")
+    eye = {"kind": "perspective", "eye": EYE, "target": [50, 35, 0], "fov": 50, "size": [320, 240]}
+
+    def make(**keys: Any) -> Scene:
+        path = tmp_path / "level.yaml"
+        terrain = {"flat": {"size": [200, 200], "cells": [40, 40]}}
+        level = {"version": 1, "terrain": terrain, "sun": {"azimuth": 90, "altitude": 45}, "views": {"eye": eye}, **keys}
+        path.write_text(json.dumps(level), encoding="utf-8")
+        return build_scene(load_level(path))
+
+    return make
+
+
+def on_path(*keys: dict, **motion: Any) -> dict:
+    return {"source": "box.ply", "motion": {"path": list(keys), **motion}}
+
+
+def view_of(scene: Scene, kind: str) -> MapView | PerspectiveView:
+    return scene.view("eye") if kind == "perspective" else scene.view(bounds=(4, 4, 92, 76), size=(176, 144))
+
+
+def corners(at: tuple[float, float, float]) -> np.ndarray:
+    """The corners (8, 3) of the box over a place."""
+    east, north, up = np.meshgrid(*[[-0.5, 0.5]] * 2, [0.0, 1.0])
+    return np.column_stack([east.ravel(), north.ravel(), up.ravel()]) * BOX_M + at
+
+
+def thrown(points: np.ndarray, lamp: tuple[float, float, float] | None = None) -> shapely.Polygon:
+    """The shadow on the ground of what has these corners: under the sun from the east at 45 degrees, or in a lamp's light."""
+    if lamp is None:
+        return shapely.convex_hull(shapely.multipoints(points[:, :2] - points[:, 2:] * [1.0, 0.0]))
+    source = np.array(lamp)
+    along = source[2] / (source[2] - points[:, 2:])
+    return shapely.convex_hull(shapely.multipoints((source + (points - source) * along)[:, :2]))
+
+
+def check_shadow(scene: Scene, frame: Frame, light: str, outline: shapely.Polygon, lit: shapely.Polygon | None = None) -> None:
+    """The ground within an outline is in a light's shadow, and (of what the light reaches, ``lit``) no other ground is."""
+    position = frame_points(scene, frame)
+    ground = (frame.height_m < 1e-3) & np.isfinite(frame.height_m)
+    where = shapely.points(position[..., :2])
+    dark = frame.visibilities[light] < 0.5
+    inside = ground & shapely.within(where, outline.buffer(-MARGIN_M))
+    outside = ground & ~shapely.within(where, outline.buffer(MARGIN_M))
+    if lit is not None:
+        inside, outside = inside & shapely.within(where, lit), outside & shapely.within(where, lit)
+    assert inside.sum() > 20 and outside.sum() > 500
+    assert dark[inside].all() and not dark[outside].any(), (dark[inside].mean(), dark[outside].sum())
+
+
+def frame_points(scene: Scene, frame: Frame) -> np.ndarray:
+    """East, north and height (rows, cols, 3) of a frame's pixels."""
+    buffer = geometry_of(scene, frame.view)
+    return buffer.frame.points_to_earth(buffer.position_frame_m)
+
+
+# -- boxes under the sun
+
+
+@pytest.mark.parametrize("kind", ["map", "perspective"])
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_box_on_a_path_throws_its_shadow_where_it_is(gl, build, algorithm, kind):
+    scene = build(meshes=[on_path(*AWAY)])
+    for seconds, at in ((0.0, (22, 20, 0)), (5.0, (52, 40, 12)), (10.0, (82, 60, 24)), (99.0, (82, 60, 24))):
+        later = scene.at_second(seconds)
+        frame = render(later, view_of(later, kind), algorithm=algorithm, map_size=1024, filter=1)
+        assert frame.plan.algorithm[SUN]["meshes"] == algorithm
+        check_shadow(later, frame, SUN, thrown(corners(at)))
+
+
+def test_its_shadow_falls_into_a_view_that_it_is_far_from(gl, build):
+    """A box 60 m up, 60 m east of its shadow, and a map of the shadow alone."""
+    keys = [{"seconds": 0, "position": [-90, 0, 9]}, {"seconds": 8, "position": [70, 10, 60]}]
+    scene = build(meshes=[on_path(*keys)]).at_second(8.0)
+    view = scene.view(bounds=(2, 2, 26, 26), size=(80, 80))
+    for algorithm in ALGORITHMS:
+        frame = render(scene, view, algorithm=algorithm, map_size=1024, filter=1)
+        check_shadow(scene, frame, SUN, thrown(corners((70, 10, 60))))
+
+
+def test_in_post_perspective_space_it_throws_its_shadow_where_it_is(gl, build):
+    scene = build(meshes=[on_path(*AWAY)])
+    for seconds, at in ((5.0, (52, 40, 12)), (10.0, (82, 60, 24))):
+        later = scene.at_second(seconds)
+        frame = render(
+            later, later.view("eye"), algorithm={"relief": "none", "meshes": "perspective_shadow_map"}, map_size=2048, filter=1
+        )
+        check_shadow(later, frame, SUN, thrown(corners(at)))
+
+
+def test_a_point_is_in_its_shadow_while_it_is_there(build):
+    """By the rays of a point's report, which know no picture: as far west of it as it is high."""
+    scene = build(meshes=[on_path(*AWAY)])
+    for seconds, east, north in ((0.0, 19.5, 20.0), (5.0, 39.0, 40.0), (10.0, 57.0, 60.0)):
+        for second in (0.0, 5.0, 10.0):
+            later = scene.at_second(second)
+            around = surroundings(later, place_at(later, (east, north)))
+            assert sun_reaches(around, np.array([90.0]), np.array([45.0])).tolist() == [second != seconds]
+
+
+def test_what_is_kept_of_one_second_is_not_shown_at_another(gl, build):
+    """To and fro, maps and volumes kept: each time as if that second were the first."""
+    scene, fresh = build(meshes=[on_path(*AWAY)]), {}
+    seconds = (0.0, 7.0, 0.0, 3.0, 7.0)
+    for algorithm in ("shadow_map", "shadow_volume", "hybrid"):
+        for second in seconds:
+            alone = build(meshes=[on_path(*AWAY)], seconds=second)
+            fresh[second] = render(alone, alone.view("eye"), algorithm=algorithm)
+        for second in seconds:
+            later = scene.at_second(second)
+            frame = render(later, later.view("eye"), algorithm=algorithm)
+            np.testing.assert_array_equal(frame.visibility, fresh[second].visibility)
+            np.testing.assert_array_equal(frame.color, fresh[second].color)
+    assert (fresh[0.0].visibility != fresh[7.0].visibility).any()
+
+
+def test_a_level_says_that_it_moves_and_what_then_is_true(build):
+    scene = build(meshes=[{**on_path(*AWAY), "scale": 4}])
+    facts = {second: describe(scene.at_second(second), scene.view("eye"), "eye") for second in (0.0, 10.0)}
+    assert all(each.moves for each in facts.values())
+    assert [each.tallest_m for each in facts.values()] == pytest.approx([12.0, 36.0])
+    edge_m = [each.lights[SUN].nearest_edge_m for each in facts.values()]
+    outlines = [thrown(corners((0, 0, 0)) * 4.0 + at) for at in ((22, 20, 0), (82, 60, 24))]
+    assert edge_m == pytest.approx([np.hypot(outline.distance(shapely.Point(*EYE[:2])), EYE[2]) for outline in outlines], rel=0.08)
+    assert not describe(build(), build().view("eye"), "eye").moves
+
+
+# -- lamps that move
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_spot_that_moves_throws_a_post_s_shadow_from_where_it_is(gl, build, algorithm):
+    """Its target moves, too."""
+    keys = [
+        {"seconds": 0, "position": [20, 50, 12], "target": [54, 50, 0]},
+        {"seconds": 6, "position": [60, 80, 18], "target": [50, 46, 0]},
+    ]
+    lamp = {"kind": "spot", "cutoff": 40, "motion": {"path": keys}}
+    scene = build(sun="none", meshes=[POST], lights={"lamp": lamp})
+    for seconds, at, target in ((0.0, (20, 50, 12), (54, 50)), (3.0, (40, 65, 15), (52, 48)), (6.0, (60, 80, 18), (50, 46))):
+        later = scene.at_second(seconds)
+        lamp_now = later.lamps["lamp"]
+        np.testing.assert_allclose(lamp_now.position_earth_m, at, atol=1e-6)
+        aim = np.array([*target, 0.0]) - at
+        np.testing.assert_allclose(lamp_now.earth_from_lamp[:, 2], aim / np.linalg.norm(aim), atol=1e-6)
+        frame = render(later, later.view(bounds=(18, 18, 82, 82), size=(128, 128)), algorithm=algorithm, map_size=1024, filter=1)
+        check_shadow(later, frame, "lamp", thrown(corners((50, 50, 0)), at), lit=shapely.Point(target).buffer(10.0))
+
+
+@pytest.mark.parametrize("algorithm", ["shadow_map", "shadow_volume", "truth"])
+def test_an_omni_light_on_a_loop_throws_a_post_s_shadow_round(gl, build, algorithm):
+    """Round the post in a square, above the sea: at each corner, and once round from there."""
+    ring = [(70, 70), (30, 70), (30, 30), (70, 30), (70, 70)]
+    path = [{"seconds": 4 * n, "position": [*at, 9]} for n, at in enumerate(ring)]
+    lamp = {"kind": "omni", "motion": {"path": path, "loop": True, "above": "sea"}}
+    scene = build(sun="none", meshes=[POST], lights={"lamp": lamp})
+    for seconds in (0.0, 4.0, 16.0 * 50 + 8.0, -4.0):
+        at = (*ring[int(seconds / 4) % 4], 9)
+        later = scene.at_second(seconds)
+        frame = render(later, later.view(bounds=(18, 18, 82, 82), size=(128, 128)), algorithm=algorithm, map_size=1024, filter=1)
+        check_shadow(later, frame, "lamp", thrown(corners((50, 50, 0)), at), lit=shapely.box(20, 20, 80, 80))
+
+
+def test_meshes_stay_what_they_are_where_lamps_alone_move(build):
+    """No copy of them is made for another second; and where nothing moves, not even of the scene."""
+    lamp = {"kind": "omni", "motion": {"path": [{"seconds": 0, "position": [0, 0, 9]}, {"seconds": 9, "position": [9, 0, 9]}]}}
+    house = {"source": "box.ply", "at": [0, 0]}
+    scene = build(meshes=[house], lights={"lamp": lamp, "other": {"kind": "omni", "position": [5, 5, 5]}})
+    later = scene.at_second(4.0)
+    assert later.objects is scene.objects and later.lamps["other"] is scene.lamps["other"]
+    assert later.lamps["lamp"] is not scene.lamps["lamp"] and describe(later, later.view()).moves
+    assert (still := build(meshes=[house])).at_second(4.0) is still

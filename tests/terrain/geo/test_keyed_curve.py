@@ -1,0 +1,128 @@
+"""Curves through keys with times: where they are, which way they go, and that nothing jerks or overshoots."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.interpolate import PchipInterpolator
+
+from terrain.geo.keyed_curve import KeyedCurve
+
+SEED = st.integers(0, 10_000)
+
+
+def random_curve(seed: int, loop: bool = False, count: int = 7, size: int = 2) -> KeyedCurve:
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(count, size)) * 10.0
+    values[2] = values[3]  # it rests between these
+    if loop:
+        values[-1] = values[0]
+    return KeyedCurve(rng.uniform(-1e4, 1e4) + np.cumsum(rng.uniform(0.2, 9.0, count)), values, loop)
+
+
+@given(SEED, st.booleans())
+def test_it_passes_its_keys_at_their_times(seed, loop):
+    curve = random_curve(seed, loop)
+    np.testing.assert_allclose(curve.at(curve.times_s), curve.values, atol=1e-9)
+    np.testing.assert_array_equal(curve.at(curve.times_s[0]), curve.values[0])
+
+
+@given(SEED, st.booleans())
+def test_its_velocity_has_no_jump(seed, loop):
+    """Also where it is held, and where it begins again."""
+    curve = random_curve(seed, loop)
+    h = 1e-5
+    for time in curve.times_s:
+        before, now, after = curve.at(time + np.array([-h, 0.0, h]))
+        np.testing.assert_allclose((now - before) / h, (after - now) / h, atol=2e-2)
+
+
+def test_one_coordinate_is_pchip():
+    """But for its ends, where it starts from rest."""
+    rng = np.random.default_rng(3)
+    times, values = np.cumsum(rng.uniform(0.2, 3.0, 12)), rng.normal(size=12)
+    curve = KeyedCurve(times, values[:, None])
+    inner = np.linspace(times[1], times[-2], 500)
+    np.testing.assert_allclose(curve.at(inner)[:, 0], PchipInterpolator(times, values)(inner), atol=1e-12)
+
+
+def test_even_keys_are_catmull_rom():
+    """A quarter of the way between p1 and p2, by the weights of Catmull and Rom at 1/4: -9, 111, 29 and -3 of 128."""
+    values = np.array([[0.0, 0.0], [6.0, 8.0], [16.0, 8.0], [22.0, 16.0]])  # each 10 m from the next
+    curve = KeyedCurve(np.array([0.0, 2.0, 4.0, 6.0]), values)
+    np.testing.assert_allclose(curve.at(2.5), np.array([-9.0, 111.0, 29.0, -3.0]) / 128.0 @ values, atol=1e-12)
+
+
+@given(SEED, st.booleans(), st.floats(0.0, 360.0))
+def test_it_is_the_same_along_any_axes(seed, loop, turn_deg):
+    curve, turn = random_curve(seed, loop), np.radians(turn_deg)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    turned = KeyedCurve(curve.times_s, curve.values @ rotation.T, loop)
+    seconds = np.linspace(curve.times_s[0] - 5.0, curve.times_s[-1] + 5.0, 200)
+    np.testing.assert_allclose(turned.at(seconds), curve.at(seconds) @ rotation.T, atol=1e-9)
+
+
+@given(SEED, st.booleans())
+def test_no_value_leaves_those_of_the_keys_round_it(seed, loop):
+    curve = random_curve(seed, loop, size=1)
+    for k in range(len(curve.times_s) - 1):
+        ends = curve.values[k : k + 2, 0]
+        between = curve.at(np.linspace(*curve.times_s[k : k + 2], 100))[:, 0]
+        assert ends.min() - 1e-9 <= between.min() and between.max() <= ends.max() + 1e-9
+
+
+@given(SEED, st.booleans())
+def test_it_rests_between_keys_in_one_place(seed, loop):
+    curve = random_curve(seed, loop)
+    np.testing.assert_array_equal(curve.at(np.linspace(*curve.times_s[2:4], 50)), np.tile(curve.values[2], (50, 1)))
+
+
+def test_it_is_held_before_and_after():
+    """Two keys: it starts and stops slowly, half-way at half the time."""
+    curve = KeyedCurve(np.array([10.0, 30.0]), np.array([[0.0, 5.0], [100.0, 5.0]]))
+    seconds = np.array([-1e9, 10.0, 15.0, 20.0, 25.0, 30.0, 1e9])
+    np.testing.assert_allclose(curve.at(seconds)[:, 0], [0.0, 0.0, 15.625, 50.0, 84.375, 100.0, 100.0])
+
+
+def test_a_loop_goes_on_as_it_began():
+    turn = np.linspace(0.0, 2.0 * np.pi, 9)
+    values = 40.0 * np.column_stack([np.cos(turn), np.sin(turn)])
+    values[-1] = values[0]
+    curve = KeyedCurve(5.0 + 3.0 * np.arange(9.0), values, loop=True)
+    seconds = np.linspace(0.0, 24.0, 100)
+    for rounds in (-1, 1, 1000):
+        np.testing.assert_allclose(curve.at(seconds + 24.0 * rounds), curve.at(seconds), atol=1e-7)
+    radius = np.linalg.norm(curve.at(seconds), axis=1)
+    assert 39.6 < radius.min() and radius.max() < 40.01  # eight keys make nearly a circle
+
+
+@given(SEED, st.booleans())
+def test_its_direction_is_that_of_its_way(seed, loop):
+    curve = random_curve(seed, loop)
+    for seconds in np.random.default_rng(seed).uniform(curve.times_s[0], curve.times_s[-1], 20):
+        way = curve.at(seconds + 1e-5) - curve.at(seconds - 1e-5)
+        if np.linalg.norm(way) > 1e-4:
+            np.testing.assert_allclose(unit(curve.direction_at(float(seconds))), unit(way), atol=1e-3)
+
+
+def test_what_rests_looks_the_way_it_came():
+    values = np.array([[0.0, 0.0], [0.0, 0.0], [10.0, 0.0], [10.0, 0.0], [10.0, 10.0], [10.0, 10.0]])
+    curve = KeyedCurve(np.arange(6.0), values)
+    ways = {-3.0: (1, 0), 0.5: (1, 0), 1.0: (1, 0), 1.5: (1, 0), 2.0: (1, 0), 2.7: (1, 0), 3.5: (0, 1), 4.6: (0, 1), 9.0: (0, 1)}
+    for seconds, way in ways.items():
+        np.testing.assert_allclose(unit(curve.direction_at(seconds)), way, atol=1e-5, err_msg=str(seconds))
+    loop = KeyedCurve(np.arange(4.0), np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 7.0], [0.0, 0.0]]), loop=True)
+    np.testing.assert_allclose(unit(loop.direction_at(0.5)), (0, -1), atol=1e-5)
+    assert not KeyedCurve(np.arange(2.0), np.zeros((2, 3))).direction_at(0.3).any()
+
+
+@pytest.mark.parametrize("first_s", [0.0, 1e9 - 2.0])
+def test_short_parts_late_on_the_clock_keep_their_direction(first_s):
+    curve = KeyedCurve(first_s + np.array([0.0, 0.001, 0.002]), np.array([[0.0], [1.0], [2.0]]))
+    assert all(curve.direction_at(first_s + after_s)[0] > 0.0 for after_s in (0.0, 0.001, 0.002))
+
+
+def unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)

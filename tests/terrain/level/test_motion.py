@@ -1,0 +1,98 @@
+"""Paths in level files: what is taken, and what is refused in one line that names the key, the value and what is allowed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from terrain.errors import LevelError
+from terrain.level.level import Level, load_level
+
+FLOOR = {"version": 1, "terrain": {"flat": {"size": [200, 200], "cells": [20, 20]}}}
+THERE, BACK = {"seconds": 0, "position": [0, 0, 5]}, {"seconds": 9, "position": [40, 0, 5]}
+AIMS = [{"seconds": 0, "target": [0, 0, 0]}, {"seconds": 3, "target": [4, 0, 0]}]
+MOVING = {"path": [THERE, BACK]}
+
+
+def loaded(folder: Path, **parts: Any) -> Level:
+    path = folder / "level.yaml"
+    path.write_text(json.dumps(FLOOR | parts), encoding="utf-8")
+    return load_level(path).level
+
+
+def of_mesh(*path: dict, **keys: Any) -> dict:
+    own = {name: keys.pop(name) for name in ("at",) if name in keys}
+    return {"meshes": [{"generate": "rocks", **own, "motion": {"path": list(path), **keys}}]}
+
+
+def of_lamp(*path: dict, kind: str = "omni", own: dict | None = None, **keys: Any) -> dict:
+    return {"lights": {"lamp": {"kind": kind, **(own or {}), "motion": {"path": list(path), **keys}}}}
+
+
+def test_what_moves_is_listed_by_its_key(tmp_path):
+    meshes = [
+        {"generate": "rocks"}, {"generate": "rocks", "motion": {"spin": 3}}, {"generate": "rocks", "motion": {"spin": 0}},
+        {"generate": "rocks", "motion": MOVING},
+    ]  # fmt: skip
+    lights = {
+        "still": {"kind": "omni", "position": [0, 0, 3]}, "goes": {"kind": "omni", "motion": MOVING},
+        "looks": {"kind": "spot", "position": [0, 0, 9], "motion": {"path": AIMS}},
+    }  # fmt: skip
+    level = loaded(tmp_path, meshes=meshes, lights=lights, weather={"cloud_cover": 0.4})
+    assert level.movers == ("meshes.1", "meshes.3", "lights.goes", "lights.looks", "weather.cloud_cover")
+    assert loaded(tmp_path, meshes=meshes[:1], weather={"cloud_cover": 1.0}).movers == ()
+
+
+def test_a_height_that_is_left_out_is_the_ground_s(tmp_path):
+    loop = of_mesh(
+        {"seconds": 0, "position": [3, 4]}, BACK, {"seconds": 20, "position": [3, 4, 0]}, loop=True, face="along", spin=2
+    )
+    motion = loaded(tmp_path, **loop).meshes[0].motion
+    assert motion is not None and motion.path is not None
+    assert motion.path[0].place == (3.0, 4.0, 0.0) and motion.above == "ground" and motion.loop and motion.face == "along"
+
+
+@pytest.mark.parametrize(
+    "parts, key, said",
+    [
+        (of_mesh(BACK, THERE), "meshes.0.motion.path.1.seconds", "'0.0' is not allowed; allowed: seconds that rise from key"),
+        (of_mesh(THERE, BACK, BACK), "meshes.0.motion.path.2.seconds", "'9.0' is not allowed; allowed: seconds that rise"),
+        (of_mesh(THERE, {**BACK, "seconds": 1e-5}), "meshes.0.motion.path.1.seconds", "by 0.001 at least"),
+        (of_mesh(THERE), "meshes.0.motion.path", "allowed: two keys at least"),
+        (of_mesh(), "meshes.0.motion.path", "'[]' is not allowed; allowed: two keys at least"),
+        (of_mesh(THERE, BACK, at=[1, 2]), "meshes.0.at", "'(1.0, 2.0)' is not allowed; allowed: nothing beside a path"),
+        (of_mesh(THERE, BACK, loop=True), "meshes.0.motion.path.1.position", "allowed: the first key's, [0.0, 0.0, 5.0]: a loop"),
+        (of_mesh(THERE, {**BACK, "seconds": 1e300}), "meshes.0.motion.path.1.seconds", "'1e+300' is not allowed"),
+        (of_mesh(THERE, {**BACK, "position": [1, 2, 1e8]}), "meshes.0.motion.path.1.position.2", "less than or equal to 1000000"),
+        (of_mesh(THERE, {**BACK, "position": [1]}), "meshes.0.motion.path.1.position", "'[1]' is not allowed; allowed: two"),
+        (of_mesh(THERE, {**BACK, "position": [1, 2, 3, 4]}), "meshes.0.motion.path.1.position", "allowed: two numbers"),
+        (of_mesh(THERE, {"seconds": 9, "position": [1, 2]}, above="sea"), "meshes.0.motion.path.1.position", "above the sea, too"),
+        (of_mesh(THERE, BACK, above="moon"), "meshes.0.motion.above", "'moon' is not allowed; allowed: 'ground' or 'sea'"),
+        (of_mesh(THERE, BACK, face="back"), "meshes.0.motion.face", "'back' is not allowed; allowed: 'fixed' or 'along'"),
+        ({"meshes": [{"generate": "rocks", "motion": {"spin": 3, "loop": True}}]}, "meshes.0.motion.loop", "without a path"),
+        (of_lamp(THERE, BACK, own={"position": [0, 0, 3]}), "lights.lamp.position", "allowed: nothing beside a path"),
+        (of_lamp(THERE, {"seconds": 9, "position": [1, 2]}), "lights.lamp.motion.path.1.position", "'[1, 2]' is not allowed"),
+        (of_lamp(BACK, THERE), "lights.lamp.motion.path.1.seconds", "'0.0' is not allowed; allowed: seconds that rise"),
+        (of_lamp(*AIMS, kind="spot"), "lights.lamp.position", "'nothing' is not allowed; allowed: field required"),
+        (of_lamp(THERE, BACK, kind="spot"), "lights.lamp", "allowed: a target for a spot, none for an omni light"),
+        (of_lamp(*AIMS, own={"position": [0, 0, 3]}), "lights.lamp", "allowed: a target for a spot, none for an omni light"),
+        (of_lamp(THERE, AIMS[1], kind="spot"), "lights.lamp.motion.path.1", "allowed: what the first key has: seconds, position"),
+        (of_lamp(THERE, {"seconds": 9}), "lights.lamp.motion.path.1", "allowed: a position, a target or both"),
+        ({"lights": {"lamp": {"kind": "omni"}}}, "lights.lamp.position", "'nothing' is not allowed; allowed: field required"),
+        ({"lights": {"lamp": {"kind": "omni", "motion": {}}}}, "lights.lamp.motion.path", "'nothing' is not allowed"),
+    ],
+)  # fmt: skip
+def test_what_is_refused_says_why_in_one_line(tmp_path, parts, key, said):
+    with pytest.raises(LevelError) as caught:
+        loaded(tmp_path, **parts)
+    text = str(caught.value)
+    assert text.startswith(f"{tmp_path}/level.yaml: {key}: ") and said in text and "\n" not in text, text
+
+
+def test_every_wrong_key_of_a_path_is_told(tmp_path):
+    with pytest.raises(LevelError) as caught:
+        loaded(tmp_path, **of_mesh(BACK, THERE, {"seconds": -4, "position": [0, 0]}))
+    assert [line.split(": ")[1] for line in str(caught.value).split("\n")] == [f"meshes.0.motion.path.{n}.seconds" for n in (1, 2)]
