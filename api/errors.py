@@ -73,6 +73,18 @@ class TooManySunsError(LaterError):
     """A client asks for more new suns than the settings allow."""
 
 
+class UnfinishedError(LaterError):
+    """The animation is not drawn yet."""
+
+
+class LevelChangedError(SkuggaError):
+    """The level has changed while an animation of it was drawn: ask for it again."""
+
+
+class StorageError(SkuggaError):
+    """A film cannot be kept: there is no room for it."""
+
+
 class TooCostlyError(InputError):
     """What is asked for is expected to take longer than a picture may."""
 
@@ -113,6 +125,9 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     SetAsideError: Outcome(503, FAILED, "set_aside", retry_after_s=30),
     NotReadyError: Outcome(503, FAILED, "not_ready", retry_after_s=2),
     TooManySunsError: Outcome(429, WRONG_INPUT, "too_many_suns", retry_after_s=2),
+    UnfinishedError: Outcome(409, WRONG_INPUT, "unfinished", retry_after_s=2),
+    LevelChangedError: Outcome(409, FAILED, "level_changed"),
+    StorageError: Outcome(507, FAILED, "storage", "There is no room for the film; the service's log says why."),
     UnhealthyError: Outcome(503, FAILED, "unhealthy", "A part of the service has ended; its log says which.", retry_after_s=30),
     RenderError: Outcome(500, FAILED, "render", "The picture could not be drawn; the service's log says why."),
     WorkerCrashError: Outcome(

@@ -70,6 +70,25 @@ class Settings(BaseSettings):
     block_cache_bytes: int = Field(default=64 * 2**20, ge=0, description="Memory for blocks of tiles, encoded, and snapshots.")
     tile_cache_bytes: int = Field(default=256 * 2**20, ge=0, description="Memory for tiles as they were sent (some 60 KiB each).")
     max_snapshot_pixels: int = Field(default=2048 * 2048, ge=1, description="Pixels of a snapshot; more are refused.")
+    max_animation_frames: int = Field(default=720, ge=0, description="Frames of an animation; 0: none is made.")
+    max_animation_frame_pixels: int = Field(
+        default=1920 * 1080, ge=1, description="Pixels of each frame of an animation; more are refused."
+    )
+    max_animation_pixels: int = Field(
+        default=2**28, ge=1, description="Pixels of all frames of an animation together; more are refused."
+    )
+    animations_at_a_time: int = Field(default=1, ge=1, le=64, description="Animations that are drawn at a time.")
+    animations_waiting: int = Field(default=4, ge=0, description="Animations that may wait for their turn; more are refused.")
+    animation_abandoned_s: float = Field(
+        default=60.0, gt=0, description="Seconds after which an animation is not drawn any further if nobody has asked about it."
+    )
+    animation_age_s: float = Field(default=3600.0, gt=0, description="Seconds that a finished animation is kept.")
+    animations_kept: int = Field(default=32, ge=1, description="Finished animations that are kept, with or without a film.")
+    animation_bytes: int = Field(
+        default=128 * 2**20,
+        ge=2**20,
+        description="Room for finished films in the folder of temporary files; one that is being written may take as much again.",
+    )
     max_body_bytes: int = Field(default=2**20, ge=1, description="Bytes of a request's body; more are refused.")
     level_check_s: float = Field(
         default=1.0,

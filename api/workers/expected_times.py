@@ -8,6 +8,8 @@ from api.workers.jobs import (
     BlockJob,
     DescribedPlanJob,
     DescriptorJob,
+    FilmCheckJob,
+    FrameJob,
     Job,
     MapJob,
     PlanJob,
@@ -20,9 +22,9 @@ from terrain.cache import MIB, Cache, Missing
 
 FIRST_GUESS_S: dict[type, float] = {
     BlockJob: 0.5, SunHoursJob: 3.0, PlanJob: 0.5, DescribedPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, MapJob: 2.5,
-    PointJob: 0.1, PointsJob: 1.0,
+    PointJob: 0.1, PointsJob: 1.0, FilmCheckJob: 0.5, FrameJob: 2.5,
 }  # fmt: skip
-"""Seconds of a job of which nothing is known yet, of a snapshot or map of ``USUAL_PX``: with a software rasteriser on two cores."""
+"""Seconds of a job of which nothing is known yet, of a snapshot, map or frame of ``USUAL_PX``: with a software rasteriser on two cores."""
 
 USUAL_PX = 1280 * 1024
 
@@ -34,7 +36,7 @@ LIGHT_S = 3.0
 
 
 class ExpectedTimes:
-    """Means of how long jobs took, by kind of job: of snapshots and maps per pixel."""
+    """Means of how long jobs took, by kind of job: of snapshots, maps and frames per pixel."""
 
     def __init__(self) -> None:
         self._seconds: Cache[float] = Cache("api.workers.expected_times", "process", MIB, lambda _: 512)
@@ -65,4 +67,4 @@ def kind_of_job(job: Job) -> Hashable:
 
 def _size_of(job: Job) -> float:
     """How much of what is known of its kind a job is."""
-    return 1.0 if not isinstance(job, SnapshotJob | MapJob) or job.size is None else max(job.size[0] * job.size[1] / USUAL_PX, 0.01)
+    return 1.0 if not isinstance(job, SnapshotJob | MapJob | FrameJob) or job.size is None else max(job.size[0] * job.size[1] / USUAL_PX, 0.01)

@@ -7,14 +7,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import urlencode
 
-from pydantic import BaseModel, ConfigDict, field_validator
+import numpy as np
+from pydantic import BaseModel, ConfigDict, InstanceOf, field_validator
 
 from api.errors import OUTCOMES
 from api.layers import MapFormat, MapLayer, PictureFormat, ViewLayer
 from api.point.report import PointQuery
 from api.point.track import TrackPoint
 from api.sun_hours_layer import SunHoursQuery
+from selector.film import FilmRequest, FilmSpan
+from selector.replanning import PlanState
 from terrain.errors import InputError, RenderError, SkuggaError
+from terrain.level.camera_file import CameraPathSpec
 from terrain.level.level import Shadows, override, parse_algorithm
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import PerspectiveSpec, SlopeExaggeration, StyleName, SunSpec
@@ -217,7 +221,46 @@ class PointsJob(_Value):
     request: PictureRequest = PictureRequest()
 
 
-Job = BlockJob | SunHoursJob | MapJob | PlanJob | DescribedPlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
+class Film(_Value):
+    """What a film of a level shows: when it plays, and one of the level's views, or a camera along a ``path``; ``size`` is (width,
+    height), ``None`` leaves it to either. The sun of a request is that of a film without dates.
+    """
+
+    level: LevelKey
+    span: FilmSpan
+    view: str = "map"
+    path: CameraPathSpec | None = None
+    size: tuple[int, int] | None = None
+    request: PictureRequest = PictureRequest()
+
+    def film_request(self) -> FilmRequest:
+        """The same as the engine takes it."""
+        overrides = self.request.overrides.for_selector()
+        return FilmRequest(self.span, self.view, self.path, self.size, overrides=overrides)
+
+
+class FilmCheckJob(Film):
+    """Look at all frames of a film before any is drawn, and plan the first one."""
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedPlans:
+    """What a frame's plan leaves for the plan of the next one, which another process may make. Equal to itself alone."""
+
+    state: PlanState
+
+
+class FrameJob(Film):
+    """Draw a frame of a film, counted from 0, by plans that go on from those of the frame before it."""
+
+    number: int
+    before: InstanceOf[CarriedPlans] | None = None
+
+
+Job = (
+    BlockJob | SunHoursJob | MapJob | PlanJob | DescribedPlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
+    | FilmCheckJob | FrameJob
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -323,6 +366,21 @@ class PointAnswer:
 
 
 @dataclass(frozen=True)
+class FilmChecked:
+    """A film can be drawn as far as is known beforehand; its frames are expected to take so long, if anything is predicted."""
+
+    frame_ms: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class FilmPicture:
+    """A frame of a film: ``color`` uint8 (rows, cols, 3), and what its plan leaves for the next one."""
+
+    color: np.ndarray
+    after: CarriedPlans
+
+
+@dataclass(frozen=True)
 class Failure:
     """A domain error as data. ``fatal`` says that the render process ends with it."""
 
@@ -350,5 +408,5 @@ class Failure:
         return kind(self.message)
 
 
-Result = BlockTiles | Snapshot | PlanAnswer | DescriptorAnswer | PointAnswer
+Result = BlockTiles | Snapshot | PlanAnswer | DescriptorAnswer | PointAnswer | FilmChecked | FilmPicture
 Answer = Result | Failure

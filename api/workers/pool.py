@@ -23,6 +23,7 @@ from api.workers.jobs import (
     BlockTiles,
     DescribedPlanJob,
     Failure,
+    FrameJob,
     Job,
     LevelKey,
     Ping,
@@ -239,30 +240,39 @@ class Pool:
         if left_s > 0.0:
             self.tally.refused += 1
             raise _set_aside(job, left_s)
-        if len(self._queue) >= self._settings.queue_length:
-            self.tally.refused += 1
-            message = f"The service is busy: {len(self._queue)} pictures are waiting to be drawn."
-            raise LaterError(message, _retry_s(self._queue.drained_s()))
-        wait_s = self._queue.wait_s(job, loop.time())
-        # Before the first process is ready there is no telling how long anything takes.
-        if self.pids and wait_s > self._queue.longest_wait_s(job, loop.time(), self._settings.queue_timeout_s):
-            self.tally.refused += 1
-            raise LaterError(f"The service is busy: the wait is expected to be {wait_s:.1f} s.", _retry_s(wait_s))
-        flight = PendingJob(job, loop.create_future(), loop.time())
+        flight = PendingJob(job, loop.create_future(), loop.time(), stands_back=isinstance(job, FrameJob))
         # An error that nobody waits for any more is no news.
         flight.answer.add_done_callback(lambda answer: answer.cancelled() or answer.exception())
-        flight.expires = loop.call_later(self._settings.queue_timeout_s, self._expire, flight)
+        if not flight.stands_back:
+            self._let_in(job, loop.time())
+            self._limit_waiting(flight)
         self._flights[job] = flight
         self._queue.put(flight)
         self._news.set()
         return flight
+
+    def _let_in(self, job: Job, now_s: float) -> None:
+        """Raise ``LaterError`` where the queue is full, or the turn of a job that comes now would not come in time."""
+        waiting = len(self._queue.asked_for)
+        if waiting >= self._settings.queue_length:
+            self.tally.refused += 1
+            message = f"The service is busy: {waiting} pictures are waiting to be drawn."
+            raise LaterError(message, _retry_s(self._queue.drained_s()))
+        wait_s = self._queue.wait_s(job, now_s)
+        # Before the first process is ready there is no telling how long anything takes.
+        if self.pids and wait_s > self._queue.longest_wait_s(job, now_s, self._settings.queue_timeout_s):
+            self.tally.refused += 1
+            raise LaterError(f"The service is busy: the wait is expected to be {wait_s:.1f} s.", _retry_s(wait_s))
+
+    def _limit_waiting(self, flight: PendingJob) -> None:
+        flight.expires = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, flight)
 
     def _expire(self, flight: PendingJob) -> None:
         """Its turn has not come in time. Before the first process is ready, or while none is, waiting is limited by their start."""
         if self._queue.waiting.get(flight.job) is not flight:
             return
         if not self._settled.is_set():
-            flight.expires = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, flight)
+            self._limit_waiting(flight)
             return
         self.tally.expired += 1
         waited = f"The service is busy: this picture's turn did not come within {self._settings.queue_timeout_s:g} s."
@@ -383,7 +393,8 @@ class Pool:
             self._queue.put(flight)
             self._news.set()
             self.tally.retried += 1
-            flight.expires = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, flight)
+            if not flight.stands_back:
+                self._limit_waiting(flight)
             return
         self._land(flight, outcome)
         self._fails(flight.job)

@@ -1,0 +1,59 @@
+"""A finished film: bytes in a file without a name, which is gone as soon as nobody reads it any more, however this process ends."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import threading
+from typing import IO
+
+CHUNK_BYTES = 2**18
+"""Bytes that are read at a time: between them others have their turn, and a slow client's connection keeps no more."""
+
+
+class FilmFile:
+    """A file to write a film into, then to read it from. ``close`` lets go of it; a ``Reading`` that has begun goes on."""
+
+    def __init__(self) -> None:
+        # Without a name: a service that is killed leaves nothing behind.
+        self.file: IO[bytes] = tempfile.TemporaryFile(prefix="skugga-")
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it has on the disk now."""
+        return os.fstat(self.file.fileno()).st_size
+
+    def reading(self, first: int, end: int) -> Reading:
+        """Its bytes from ``first`` to before ``end``."""
+        return Reading(os.dup(self.file.fileno()), first, end)
+
+    def close(self) -> None:
+        """Let go of the film."""
+        self.file.close()
+
+
+class Reading:
+    """A part of a film as one client reads it. It goes at its own place, and holds the film until it is closed. To be used from any
+    thread.
+    """
+
+    def __init__(self, descriptor: int, first: int, end: int) -> None:
+        self._descriptor, self._place, self._end = descriptor, first, end
+        # A client that goes away closes it while a thread may be reading: the descriptor's number is soon another file's.
+        self._lock = threading.Lock()
+
+    def chunk(self) -> bytes:
+        """The next bytes; none at the end, or once it is closed."""
+        with self._lock:
+            if self._descriptor < 0:
+                return b""
+            found = os.pread(self._descriptor, min(CHUNK_BYTES, self._end - self._place), self._place)
+            self._place += len(found)
+            return found
+
+    def close(self) -> None:
+        """Let go of the film; more than once is as good as once."""
+        with self._lock:
+            if self._descriptor >= 0:
+                os.close(self._descriptor)
+                self._descriptor = -1

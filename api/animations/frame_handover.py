@@ -1,0 +1,70 @@
+"""Frames from the event loop to the thread that encodes them: the next one is drawn while the last is encoded."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable, Iterator
+from concurrent.futures import Future
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class StoppedError(Exception):
+    """Nobody wants the frames any more. It ends the thread's work, and is told to nobody."""
+
+
+class _End:
+    pass
+
+
+_END = _End()
+
+
+class FrameHandover(Generic[T]):
+    """Iterates in a thread over what an async generator yields in an event loop, which calls ``handed`` with the count of those
+    that are there. Two are held at most: the one that is used, and the next one.
+    """
+
+    def __init__(self, frames: AsyncGenerator[T, None], loop: asyncio.AbstractEventLoop, handed: Callable[[int], None]) -> None:
+        self._frames, self._loop, self._handed = frames, loop, handed
+        self._count = 0
+        self._stopped = False
+        self._asking: asyncio.Task[T | _End] | None = None
+
+    def __iter__(self) -> Iterator[T]:
+        """The frames. Raises ``StoppedError`` once it was stopped, and what the generator raises."""
+        coming = self._ask()
+        while True:
+            frame = coming.result()
+            if isinstance(frame, _End):
+                return
+            coming = self._ask()
+            yield frame
+
+    async def stop(self) -> None:
+        """Make no more frames: the thread's next question is answered by ``StoppedError``. To be called in the event loop."""
+        self._stopped = True
+        if self._asking is not None:
+            self._asking.cancel()
+            await asyncio.wait({self._asking})
+        await self._frames.aclose()
+
+    def _ask(self) -> Future[T | _End]:
+        return asyncio.run_coroutine_threadsafe(self._next(), self._loop)
+
+    async def _next(self) -> T | _End:
+        if self._stopped:
+            raise StoppedError
+        self._asking = asyncio.ensure_future(self._frame())
+        try:
+            return await self._asking
+        except asyncio.CancelledError:
+            raise StoppedError from None
+
+    async def _frame(self) -> T | _End:
+        frame = await anext(self._frames, _END)
+        if not isinstance(frame, _End):
+            self._count += 1
+            self._handed(self._count)
+        return frame
