@@ -131,8 +131,10 @@ class FilmFrame:
         return self.drawn.plan
 
 
-def frame_moments(scene: Scene, request: FilmRequest, most_frames: int = MOST_FRAMES) -> list[FrameMoment]:
-    """All frames of a film, looked at before any is drawn.
+def frame_moments(
+    scene: Scene, request: FilmRequest, most_frames: int = MOST_FRAMES, only: int | None = None
+) -> list[FrameMoment]:
+    """All frames of a film, looked at before any is drawn; or ``only`` the one of a number.
 
     Raises ``InputError`` for more than ``most_frames``, and where the camera leaves the data or goes under the ground: it names
     the frame.
@@ -146,7 +148,7 @@ def frame_moments(scene: Scene, request: FilmRequest, most_frames: int = MOST_FR
     path = None if request.path is None else camera_path(request.path, scene.place, span.start)
     resting = None if path is not None else scene.view(request.view, request.bounds, request.crs, request.size)
     moments: list[FrameMoment] = []
-    for number in range(span.frames):
+    for number in range(span.frames) if only is None else (only,):
         elapsed_s = number * span.step_s
         try:
             view = resting if path is None else path.view_at(elapsed_s, *reversed(_size(request)))
@@ -176,7 +178,8 @@ def film_frames(
     Raises as ``render_frame`` and ``Replanner.plan`` do.
     """
     replanner = replanner or Replanner()
-    level, overrides, before = scene.loaded.level, dict(request.overrides), None
+    level, overrides = scene.loaded.level, dict(request.overrides)
+    before = None if replanner.state is None else replanner.state.plan
     for moment in moments:
         now = moment.scene(scene)
         plan = replanner.plan(describe(now, moment.view, request.view_name), level, overrides)

@@ -93,7 +93,8 @@ class PlanState:
 class Replanner:
     """Plans for one frame after the other of a view that moves.
 
-    ``policy`` and ``device`` are those of ``selector.select.select``; ``plans`` stands in for it.
+    ``policy`` and ``device`` are those of ``selector.select.select``; ``plans`` stands in for it. With the ``state`` of another one
+    it goes on from there: a state is a value, which other processes take.
 
     >>> replanner = Replanner(device=load_profile(renderer, version))           # doctest: +SKIP
     >>> for view in path:                                                       # doctest: +SKIP
@@ -106,10 +107,19 @@ class Replanner:
     """
 
     def __init__(
-        self, policy: PolicyName = "predict", device: DeviceProfile | None = None, plans: PlanFunction | None = None
+        self,
+        policy: PolicyName = "predict",
+        device: DeviceProfile | None = None,
+        plans: PlanFunction | None = None,
+        state: PlanState | None = None,
     ) -> None:
         self._plans: PlanFunction = plans or partial(select, policy=policy, device=device)
-        self._standing: PlanState | None = None
+        self._standing = state
+
+    @property
+    def state(self) -> PlanState | None:
+        """What stands after the last plan."""
+        return self._standing
 
     def plan(self, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Plan:
         """The next frame's plan. Raises as ``selector.select.select`` does."""

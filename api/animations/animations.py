@@ -200,8 +200,9 @@ class Animations:
         self, animation: Animation, status: AnimationStatus, message: str | None = None, error: SkuggaError | None = None
     ) -> None:
         """Keep an animation that has ended, for its age; only a film that is there stands for its order."""
+        if not animation.ended:
+            self.ended[status] += 1
         animation.end(status, message, error)
-        self.ended[status] += 1
         self._going.pop(animation.id, None)
         if animation.film is None:
             self._forget_order(animation)

@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING, Any
 from api.workers.jobs import LevelKey
 from api.workers.plan_basis import PlanBasis
 from selector.map_probes import PROBED_FOR, MapClass, map_class
-from selector.select import plan_of_view
+from selector.select import plan_of_view, select
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.surface import map_pixel_m
 
 if TYPE_CHECKING:
-    from selector.choices import PolicyName
+    from selector.choices import PlanRequest, PolicyName
     from selector.options import Seen
+    from selector.replanning import PlanFunction
     from shadows.plan import Plan
+    from terrain.facts.descriptor import Descriptor
     from terrain.scene import Scene
 
 
@@ -31,6 +33,16 @@ def plan_in_service(
 ) -> Plan:
     """The plan of a view of a level. Raises ``SkuggaError``."""
     return plan_of_view(scene, view, name, overrides, policy, basis.device, seen=_seen(scene, view, overrides, level, basis))
+
+
+def plans_in_service(scene: Scene, view: MapView | PerspectiveView, level: LevelKey, basis: PlanBasis) -> PlanFunction:
+    """What makes plans of a view of a level from its descriptor, as ``plan_in_service`` does, for whatever is asked."""
+
+    def plan(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None) -> Plan:
+        seen = _seen(scene, view, overrides or {}, level, basis)
+        return select(descriptor, plan_request, overrides, "predict", basis.device, seen)
+
+    return plan
 
 
 def unprobed_class(scene: Scene, view: MapView, overrides: Mapping[str, Any], level: LevelKey, basis: PlanBasis) -> MapClass | None:

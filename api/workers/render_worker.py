@@ -23,6 +23,7 @@ from api.layers import LAYERS, PASS_LAYERS, encode_picture, frame_layer, viewabl
 from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
 from api.workers.block_tiles import PicturedBlock, cut_tiles, encoded_tiles
 from api.workers.drawn_blocks import block_of_grid, drawn_block, grid_of_zoom
+from api.workers.film_jobs import film_picture, first_plan
 from api.workers.jobs import (
     Answer,
     BlockJob,
@@ -31,6 +32,9 @@ from api.workers.jobs import (
     DescriptorAnswer,
     DescriptorJob,
     Failure,
+    FilmChecked,
+    FilmCheckJob,
+    FrameJob,
     Job,
     LevelKey,
     MapJob,
@@ -214,6 +218,12 @@ def run_job(job: Job, state: WorkerState) -> Result:
             return _pictured_tiles(job, SUN_HOURS_LAYER, state, picture)
         case MapJob():
             return _map(job, scene, state)
+        case FilmCheckJob():
+            plan, moment = first_plan(job, scene, state.basis)
+            _check_cost(plan, f"{moment.view.cols}x{moment.view.rows}", state)
+            return FilmChecked(None if plan.predicted is None else plan.predicted.ms)
+        case FrameJob():
+            return film_picture(job, scene, state.basis)
         case SnapshotJob():
             scene = scene.at_second(job.seconds)
             view = scene.view(job.view, size=job.size) if job.seen_from is None else scene.view_from(job.seen_from, job.size)

@@ -1,0 +1,38 @@
+"""Films in render processes: looked at before they are drawn, then drawn a frame a job, by plans that go on from frame to frame."""
+
+from __future__ import annotations
+
+from api.workers.jobs import CarriedPlans, Film, FilmCheckJob, FilmPicture, FrameJob
+from api.workers.map_plans import plans_in_service
+from api.workers.plan_basis import PlanBasis
+from selector.film import FrameMoment, film_frames, frame_moments
+from selector.replanning import Replanner
+from shadows.plan import Plan
+from terrain.describe import describe
+from terrain.scene import Scene
+
+
+def first_plan(job: FilmCheckJob, scene: Scene, basis: PlanBasis) -> tuple[Plan, FrameMoment]:
+    """The plan of a film's first frame, once all frames were found to have a view. Raises ``SkuggaError``."""
+    moment = frame_moments(scene, job.film_request())[0]
+    return _replanner(job, moment, scene, basis).plan(
+        describe(moment.scene(scene), moment.view, job.film_request().view_name),
+        scene.loaded.level,
+        job.request.overrides.for_selector(),
+    ), moment
+
+
+def film_picture(job: FrameJob, scene: Scene, basis: PlanBasis) -> FilmPicture:
+    """A frame of a film. Raises ``SkuggaError``."""
+    moments = frame_moments(scene, job.film_request(), only=job.number)
+    replanner = _replanner(job, moments[0], scene, basis, job.before)
+    (frame,) = film_frames(scene, job.film_request(), moments, replanner)
+    assert replanner.state is not None
+    return FilmPicture(frame.color, CarriedPlans(replanner.state))
+
+
+def _replanner(
+    film: Film, moment: FrameMoment, scene: Scene, basis: PlanBasis, before: CarriedPlans | None = None
+) -> Replanner:
+    plans = plans_in_service(moment.scene(scene), moment.view, film.level, basis)
+    return Replanner(plans=plans, state=None if before is None else before.state)

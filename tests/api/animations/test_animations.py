@@ -1,0 +1,368 @@
+"""Animations as jobs: their states and bounds, and that nothing is left of those that end otherwise than well."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import threading
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from api.animations.animation import Animation
+from api.animations.animations import Animations
+from api.animations.film_file import FilmFile
+from api.animations.film_order import FilmOrder
+from api.errors import LaterError, NotServedError, StorageError
+from api.settings import Settings
+from api.workers.jobs import LevelKey
+from selector.film import FilmSpan
+from terrain.errors import BusyError, InputError, RenderError
+from tests.api.workers.test_pool import SOON_S, until
+
+FRAMES = 4
+
+
+def order(number: int = 0, frames: int = FRAMES) -> FilmOrder:
+    level = LevelKey(path=Path("level.yaml"), version="1")
+    return FilmOrder(level=level, level_name="level", span=FilmSpan(frames, 60.0 + number))
+
+
+class Studio:
+    """Draws frames that are their numbers, each when it is let go, and writes them as text."""
+
+    def __init__(self) -> None:
+        self.go, self.drawing, self.closed = asyncio.Semaphore(0), 0, 0
+        self.fails_at: dict[int, Exception] = {}
+        self.encoder_fails: Exception | None = None
+        self.encoding = threading.Event()
+        self.files: list[FilmFile] = []
+
+    async def draw(self, order: FilmOrder) -> AsyncGenerator[np.ndarray, None]:
+        try:
+            for number in range(order.span.frames):
+                self.drawing += 1
+                try:
+                    await self.go.acquire()
+                finally:
+                    self.drawing -= 1
+                if number in self.fails_at:
+                    raise self.fails_at[number]
+                yield np.full((2, 3, 3), number, np.uint8)
+        finally:
+            self.closed += 1
+
+    def encode(self, frames: Iterable[np.ndarray], film: FilmFile, order: FilmOrder) -> None:
+        self.files.append(film)
+        for frame in frames:
+            self.encoding.set()
+            film.file.write(f"{frame[0, 0, 0]},".encode())
+            if self.encoder_fails is not None:
+                raise self.encoder_fails
+        film.file.flush()
+
+    def let_go(self, frames: int) -> None:
+        for _ in range(frames):
+            self.go.release()
+
+
+Scenario = Callable[[Animations, Studio], Awaitable[None]]
+
+
+def with_animations(scenario: Scenario, **settings) -> None:
+    """Run a scenario, and make sure that nothing of it is left."""
+    before = set(os.listdir("/proc/self/fd")), threading.active_count()
+
+    async def run() -> None:
+        studio = Studio()
+        animations = Animations(Settings(**settings), studio.draw, studio.encode, lambda order: 2.0)
+        try:
+            await asyncio.wait_for(scenario(animations, studio), SOON_S)
+        finally:
+            await asyncio.wait_for(animations.close(), SOON_S)
+        assert studio.drawing == 0
+        assert all(film.file.closed for film in studio.files)
+
+    asyncio.run(run())
+    assert (set(os.listdir("/proc/self/fd")), threading.active_count()) == before
+
+
+def film_of(animation: Animation) -> bytes:
+    assert animation.film is not None
+    reading = animation.film.reading(0, animation.film.nbytes)
+    content = b"".join(iter(reading.chunk, b""))
+    reading.close()
+    return content
+
+
+def test_an_animation_goes_from_accepted_to_successful_and_its_film_is_whole():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        animation = animations.ask(order())
+        assert (animation.status, animation.frames_done, animation.film) == ("accepted", 0, None)
+        studio.let_go(2)
+        await until(lambda: animation.frames_done == 2)
+        assert (animation.status, animation.film) == ("running", None)
+        studio.let_go(FRAMES - 2)
+        await until(lambda: animation.ended)
+        assert (animation.status, animation.frames_done) == ("successful", FRAMES)
+        assert film_of(animation) == b"0,1,2,3,"
+        assert animation.film_bytes == animations.kept_bytes == 8
+        assert animation.created <= animation.started <= animation.finished  # type: ignore[operator]
+        assert studio.closed == 1
+
+    with_animations(scenario)
+
+
+def test_one_frame_at_most_is_drawn_ahead():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        held = threading.Event()
+        real = studio.encode
+
+        def slow(frames: Iterable[np.ndarray], film: FilmFile, order: FilmOrder) -> None:
+            real((held.wait() and frame for frame in frames), film, order)
+
+        animations._encode = slow
+        animation = animations.ask(order(frames=10))
+        studio.let_go(10)
+        await until(lambda: animation.frames_done == 2)
+        for _ in range(20):
+            await asyncio.sleep(0)
+        assert animation.frames_done == 2, "the one that is encoded, and the next"
+        held.set()
+        await until(lambda: animation.status == "successful")
+
+    with_animations(scenario)
+
+
+def test_the_same_order_is_the_same_animation_while_it_is_drawn_and_kept():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        first = animations.ask(order())
+        assert animations.ask(order()) is first and animations.ask(order(1)) is not first
+        studio.let_go(FRAMES)
+        await until(lambda: first.ended)
+        assert animations.ask(order()) is first
+        animations.dismiss(first, "enough")
+        assert animations.ask(order()) is not first
+
+    with_animations(scenario)
+
+
+def test_they_are_drawn_in_the_order_in_which_they_came():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        first, second, third = (animations.ask(order(number)) for number in range(3))
+        for done in range(1, 3 * FRAMES + 1):
+            studio.let_go(1)
+            await until(lambda done=done: sum(each.frames_done for each in (first, second, third)) == done)
+            if done == FRAMES - 1:
+                assert [each.status for each in (first, second, third)] == ["running", "accepted", "accepted"]
+            if done > FRAMES:
+                assert first.frames_done == FRAMES
+        await until(lambda: third.ended)
+
+    with_animations(scenario)
+
+
+def test_seconds_left_count_those_before():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        first, second = animations.ask(order(0)), animations.ask(order(1, frames=2))
+        assert animations.seconds_left(first) == 8.0
+        assert animations.seconds_left(second) == 12.0
+        studio.let_go(FRAMES)
+        await until(lambda: first.ended)
+        assert animations.seconds_left(first) == 0.0
+
+    with_animations(scenario)
+
+
+def test_more_than_may_wait_are_refused_and_told_when_to_come_back():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        first, second = animations.ask(order(0)), animations.ask(order(1))
+        with pytest.raises(LaterError) as refused:
+            animations.ask(order(2))
+        assert refused.value.retry_after_s == 8, "as long as the first one takes"
+        assert animations.ask(order(1)) is second, "what is there already takes no place"
+        animations.dismiss(first, "enough")
+        assert animations.ask(order(2)).status == "accepted"
+
+    with_animations(scenario, animations_waiting=1)
+
+
+def test_a_dismissed_animation_stops_and_gives_its_place_away():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        first, second = animations.ask(order(0)), animations.ask(order(1))
+        studio.let_go(1)
+        await until(lambda: first.frames_done == 1 and studio.drawing == 1)
+        animations.dismiss(first, "enough")
+        assert (first.status, first.message) == ("dismissed", "enough")
+        await until(lambda: second.status == "running")
+        assert studio.files[0].file.closed
+        studio.let_go(FRAMES)
+        await until(lambda: second.ended)
+        assert film_of(second) == b"0,1,2,3,"
+        assert first.frames_done == 1
+        assert animations.get(first.id).status == "dismissed", "its state is still told"
+        animations.dismiss(first, "again")
+        assert first.message == "enough"
+        assert animations.ended == {"successful": 1, "failed": 0, "dismissed": 1}
+
+    with_animations(scenario)
+
+
+def test_a_dismissed_film_is_gone_but_for_those_who_read_it():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        animation = animations.ask(order())
+        studio.let_go(FRAMES)
+        await until(lambda: animation.ended)
+        assert animation.film is not None
+        reading = animation.film.reading(2, 6)
+        animations.dismiss(animation, "enough")
+        assert (animation.film, animations.kept_bytes) == (None, 0)
+        assert reading.chunk() + reading.chunk() == b"1,2,"
+        reading.close()
+        assert reading.chunk() == b""
+        assert animations.ended["successful"] == 1 and animations.ended["dismissed"] == 0, "it had ended before"
+
+    with_animations(scenario)
+
+
+def test_what_nobody_asks_about_is_given_up():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        animation = animations.ask(order())
+        await until(lambda: animation.ended)
+        assert animation.status == "dismissed"
+        assert animation.message is not None and "SKUGGA_ANIMATION_ABANDONED_S" in animation.message
+        await until(lambda: studio.drawing == 0)
+
+    with_animations(scenario, animation_abandoned_s=0.05)
+
+
+def test_what_is_asked_about_goes_on():
+    """Each question puts off the end: it is the timer of the last one that counts."""
+
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        animation = animations.ask(order())
+        for ask in (lambda: animations.get(animation.id), lambda: animations.ask(order())):
+            before = animation.ending
+            assert ask() is animation
+            assert before is not None and before.cancelled() and animation.ending is not before
+        studio.let_go(FRAMES)
+        await until(lambda: animation.ended)
+        assert animation.status == "successful"
+
+    with_animations(scenario)
+
+
+def test_films_go_after_an_age():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        animation = animations.ask(order())
+        studio.let_go(FRAMES)
+        await until(lambda: animation.ended)
+        await until(lambda: not animations.counts["successful"])
+        with pytest.raises(NotServedError):
+            animations.get(animation.id)
+        assert studio.files[0].file.closed
+        assert animations.ask(order()) is not animation
+
+    with_animations(scenario, animation_age_s=0.05)
+
+
+def test_the_oldest_films_go_where_there_are_too_many():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        made = []
+        for number in range(3):
+            made.append(animations.ask(order(number)))
+            studio.let_go(FRAMES)
+            await until(lambda: made[-1].ended)
+        assert [film.file.closed for film in studio.files] == [True, False, False]
+        with pytest.raises(NotServedError):
+            animations.get(made[0].id)
+        assert animations.get(made[1].id) is made[1]
+
+    with_animations(scenario, animations_kept=2)
+
+
+def test_the_oldest_films_go_where_they_are_too_large():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        real = studio.encode
+
+        def large(frames: Iterable[np.ndarray], film: FilmFile, order: FilmOrder) -> None:
+            real(frames, film, order)
+            film.file.truncate(600_000)
+
+        animations._encode = large
+        for number in range(2):
+            last = animations.ask(order(number))
+            studio.let_go(FRAMES)
+            await until(lambda last=last: last.ended)
+        assert [film.file.closed for film in studio.files] == [True, False]
+        assert animations.kept_bytes == 600_000
+
+    with_animations(scenario, animation_bytes=2**20)
+
+
+@pytest.mark.parametrize(
+    ("raised", "told"),
+    [
+        (InputError("path, frame 2", "x", "a camera above the ground"), InputError),
+        (RenderError("it went wrong"), RenderError),
+        (OSError(errno.ENOSPC, "No space left on device"), StorageError),
+        (ZeroDivisionError("a bug"), RenderError),
+    ],
+)
+@pytest.mark.parametrize("where", ["drawing", "encoding"])
+def test_one_that_fails_says_why_and_the_next_one_is_drawn(raised: Exception, told: type, where: str):
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        if where == "drawing":
+            studio.fails_at[1] = raised
+        else:
+            studio.encoder_fails = raised
+        first, second = animations.ask(order(0)), animations.ask(order(1))
+        studio.let_go(2)
+        await until(lambda: first.ended)
+        assert (first.status, type(first.error), first.film) == ("failed", told, None)
+        assert studio.files[0].file.closed
+        studio.fails_at, studio.encoder_fails = {}, None
+        studio.let_go(FRAMES)
+        await until(lambda: second.ended)
+        assert second.status == "successful"
+        assert animations.ask(order(0)) is not first, "it is tried again"
+
+    with_animations(scenario)
+
+
+def test_an_encoder_that_stops_early_leaves_nothing_running():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        animations._encode = lambda frames, film, order: None
+        animation = animations.ask(order())
+        await until(lambda: animation.ended)
+        assert studio.drawing == 0
+
+    with_animations(scenario)
+
+
+def test_a_service_that_stops_ends_all_of_them():
+    """Also one whose encoder is just at work, and one that waits."""
+
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        first, second = animations.ask(order(0)), animations.ask(order(1))
+        studio.let_go(1)
+        await asyncio.to_thread(studio.encoding.wait, SOON_S)
+        await animations.close()
+        assert (first.status, second.status) == ("dismissed", "dismissed")
+        with pytest.raises(BusyError):
+            animations.ask(order(2))
+
+    with_animations(scenario)
+
+
+def test_names_are_long_and_never_the_same():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        names = {animations.ask(order(number)).id for number in range(4)}
+        assert len(names) == 4 and all(len(name) == 32 for name in names)
+        with pytest.raises(NotServedError):
+            animations.get("0" * 32)
+
+    with_animations(scenario)
