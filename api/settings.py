@@ -75,7 +75,7 @@ class Settings(BaseSettings):
         default=1920 * 1080, ge=1, description="Pixels of each frame of an animation; more are refused."
     )
     max_animation_pixels: int = Field(
-        default=2**28, ge=1, description="Pixels of all frames of an animation together; more are refused."
+        default=2**27, ge=1, description="Pixels of all frames of an animation together; more are refused."
     )
     animations_at_a_time: int = Field(default=1, ge=1, le=64, description="Animations that are drawn at a time.")
     animations_waiting: int = Field(default=4, ge=0, description="Animations that may wait for their turn; more are refused.")
@@ -85,9 +85,9 @@ class Settings(BaseSettings):
     animation_age_s: float = Field(default=3600.0, gt=0, description="Seconds that a finished animation is kept.")
     animations_kept: int = Field(default=32, ge=1, description="Finished animations that are kept, with or without a film.")
     animation_bytes: int = Field(
-        default=128 * 2**20,
+        default=256 * 2**20,
         ge=2**20,
-        description="Room for finished films in the folder of temporary files; one that is being written may take as much again.",
+        description="Bytes of finished films, which lie in the folder of temporary files.",
     )
     max_body_bytes: int = Field(default=2**20, ge=1, description="Bytes of a request's body; more are refused.")
     level_check_s: float = Field(

@@ -108,9 +108,13 @@ MAY_IMPORT = {
     "api.file_stamps": "",
     "api.workers": "device_calibration errors layers map_probing point settings sun_hours_layer",
     "api.library": "catalogue device_calibration film_span layers point raster_file shade sun_hours",
+    "api.animations": "errors film_files settings workers",
     "api.matrices": "errors workers",
     "api.seed": "device_calibration errors file_stamps layers matrices settings workers",
-    "api.http": "color_scale errors file_stamps layers matrices point settings shadow_parameters sun_hours_layer workers",
+    "api.http": (
+        "animations color_scale errors file_stamps film_span layers matrices point settings shadow_parameters sun_hours_layer "
+        "workers"
+    ),
     "api.cli": (
         "catalogue device_calibration errors file_stamps film_files film_span http layers map_probing matrices overviews point "
         "raster_file report seed settings shade shadow_parameters stac_item sun_hours workers"

@@ -6,8 +6,10 @@ from __future__ import annotations
 import asyncio
 import logging
 import secrets
+import tempfile
 from collections.abc import AsyncGenerator, Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 
@@ -18,7 +20,7 @@ from api.animations.frame_handover import FrameHandover
 from api.errors import LaterError, NotServedError, StorageError
 from api.settings import Settings
 from terrain.cache import Cache, Missing
-from terrain.errors import BusyError, RenderError, SkuggaError
+from terrain.errors import BusyError, Fault, InputError, RenderError, SkuggaError
 
 ID_BYTES = 16
 """Of the random number that is an animation's name: nobody guesses one of 2**128."""
@@ -32,24 +34,23 @@ LONGEST_RETRY_S = 120
 Draw = Callable[[FilmOrder], AsyncGenerator[np.ndarray, None]]
 """Draws the frames of a film, uint8 (rows, cols, 3), in the event loop."""
 
-Encode = Callable[[Iterable[np.ndarray], FilmFile, FilmOrder], None]
-"""Writes frames into a file, in a thread."""
+Encode = Callable[[Path, Iterable[np.ndarray], FilmOrder], None]
+"""Writes frames into a file, in a thread. Raises ``OSError``."""
 
 log = logging.getLogger("skugga")
 
 
 class Animations:
-    """Films that were asked for: drawn by ``draw``, written by ``encode``, of which ``expected_s`` says how many seconds a frame may
-    take. To be used from one event loop.
+    """Films that were asked for: drawn by ``draw``, written by ``encode``. To be used from one event loop.
 
     ``animations_at_a_time`` are drawn, in the order in which they came; others wait. One that nobody asks about for
     ``animation_abandoned_s`` is dismissed. What has ended is kept for ``animation_age_s``, within ``animations_kept`` and
     ``animation_bytes``; the one asked about last longest.
     """
 
-    def __init__(self, settings: Settings, draw: Draw, encode: Encode, expected_s: Callable[[FilmOrder], float]) -> None:
+    def __init__(self, settings: Settings, draw: Draw, encode: Encode) -> None:
         self._settings = settings
-        self._draw, self._encode, self._expected_s = draw, encode, expected_s
+        self._draw, self._encode = draw, encode
         self._going: dict[str, Animation] = {}
         self._kept: Cache[Animation] = Cache(
             "api.animations.kept", "process", settings.animation_bytes, lambda each: each.film_bytes + STATE_BYTES, self._let_go,
@@ -73,17 +74,29 @@ class Animations:
         """Bytes of the films that are kept."""
         return sum(each.film_bytes for each in self._kept.values)
 
-    def ask(self, order: FilmOrder) -> Animation:
-        """The animation of an order: the one that there is, while it is drawn or kept, or a new one. Raises ``LaterError`` where
-        as many wait as may.
-        """
+    def known(self, order: FilmOrder) -> Animation | None:
+        """The animation that there is of an order, while it is drawn or kept: it is asked about by that."""
+        animation = self._by_order.get(order)
+        return None if animation is None else self.get(animation.id)
+
+    def check_room(self) -> None:
+        """Raise ``LaterError`` where as many animations wait as may."""
         if self._closed:
             raise BusyError("The service is shutting down.")
-        animation = self._by_order.get(order)
-        if animation is not None:
-            return self.get(animation.id)
-        self._let_in()
-        animation = Animation(secrets.token_hex(ID_BYTES), order)
+        waiting = len(self._going) - self._settings.animations_at_a_time
+        if waiting >= self._settings.animations_waiting:
+            left_s = min(map(self._own_seconds_left, self._going.values()))
+            message = f"The service is busy: {len(self._going)} animations are being drawn or waiting."
+            raise LaterError(message, round(min(max(left_s, 1.0), LONGEST_RETRY_S)))
+
+    def ask(self, order: FilmOrder, frame_s: float) -> Animation:
+        """The animation of an order: the one that is known, or a new one, whose frames may take ``frame_s`` seconds each. Raises as
+        ``check_room`` does.
+        """
+        if (animation := self.known(order)) is not None:
+            return animation
+        self.check_room()
+        animation = Animation(secrets.token_hex(ID_BYTES), order, frame_s)
         self._going[animation.id] = self._by_order[order] = animation
         self._await_questions(animation)
         animation.work = asyncio.create_task(self._make(animation))
@@ -134,16 +147,8 @@ class Animations:
         self._kept.clear()
         self._threads.shutdown(wait=True)
 
-    def _let_in(self) -> None:
-        waiting = len(self._going) - self._settings.animations_at_a_time
-        if waiting >= self._settings.animations_waiting:
-            left_s = min(map(self._own_seconds_left, self._going.values()))
-            message = f"The service is busy: {len(self._going)} animations are being drawn or waiting."
-            raise LaterError(message, round(min(max(left_s, 1.0), LONGEST_RETRY_S)))
-
     def _own_seconds_left(self, animation: Animation) -> float:
-        done, order = animation.frames_done, animation.order
-        each_s = self._expected_s(order)
+        done, order, each_s = animation.frames_done, animation.order, animation.frame_s
         if done and animation.running_since_s is not None:
             each_s = (asyncio.get_running_loop().time() - animation.running_since_s) / done
         return (order.span.frames - done) * each_s
@@ -172,25 +177,36 @@ class Animations:
             log.exception("animation %s failed unexpectedly", animation.id)
             self._fail(animation, RenderError(f"{type(error).__name__}: {error}"))
         else:
-            animation.film, animation.film_bytes = film, film.nbytes
+            animation.film = film
             self._end(animation, "successful")
 
     async def _film(self, animation: Animation) -> FilmFile:
-        """The film, whole. Whatever ends this, frames are drawn no more and the thread is done with the file."""
+        """The film, whole. However this ends, no more frames are drawn, and the thread is done with the file."""
         loop, order = asyncio.get_running_loop(), animation.order
         frames = FrameHandover(self._draw(order), loop, animation.advance)
-        film = FilmFile()
-        writing = loop.run_in_executor(self._threads, self._encode, frames, film, order)
+        writing = loop.run_in_executor(self._threads, self._written, frames, order)
         try:
-            await asyncio.shield(writing)
+            return await asyncio.shield(writing)
         except BaseException:
             await frames.stop()
             await asyncio.wait({writing})
-            writing.cancelled() or writing.exception()
-            film.close()
+            if writing.exception() is None:
+                writing.result().close()
             raise
-        await frames.stop()
-        return film
+        finally:
+            await frames.stop()
+
+    def _written(self, frames: Iterable[np.ndarray], order: FilmOrder) -> FilmFile:
+        """The film in a file that has no name any more, so that it is gone however this process ends."""
+        with tempfile.TemporaryDirectory(prefix="skugga-", ignore_cleanup_errors=True) as folder:
+            path = Path(folder) / f"film.{order.format}"
+            self._encode(path, frames, order)
+            film = FilmFile(path)
+        if film.nbytes <= self._settings.animation_bytes:
+            return film
+        film.close()
+        allowed = f"films of at most {self._settings.animation_bytes} bytes (the service's SKUGGA_ANIMATION_BYTES)"
+        raise InputError("size", Fault(f"a film of {film.nbytes} bytes"), f"{allowed}: of fewer or smaller frames, or in mp4")
 
     def _fail(self, animation: Animation, error: SkuggaError) -> None:
         log.warning("animation %s of level %s failed: %s", animation.id, animation.order.level.path.stem, error)
@@ -202,14 +218,15 @@ class Animations:
         """Keep an animation that has ended, for its age; only a film that is there stands for its order."""
         if not animation.ended:
             self.ended[status] += 1
-        animation.end(status, message, error)
+        animation.end(status, self._settings.animation_age_s, message, error)
         self._going.pop(animation.id, None)
         if animation.film is None:
             self._forget_order(animation)
         if animation.ending is not None:
             animation.ending.cancel()
         self._kept.put(animation.id, value=animation)
-        animation.ending = asyncio.get_running_loop().call_later(self._settings.animation_age_s, self._kept.drop, animation.id)
+        later = asyncio.get_running_loop().call_later
+        animation.ending = later(self._settings.animation_age_s, self._kept.drop, animation.id)
 
     def _let_go(self, animation: Animation) -> None:
         animation.let_go()

@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 import os
-import tempfile
 import threading
-from typing import IO
+from pathlib import Path
 
 CHUNK_BYTES = 2**18
 """Bytes that are read at a time: between them others have their turn, and a slow client's connection keeps no more."""
 
 
 class FilmFile:
-    """A file to write a film into, then to read it from. ``close`` lets go of it; a ``Reading`` that has begun goes on."""
+    """The film in a file, whose name may go from now on. ``close`` lets go of it; a ``Reading`` that has begun goes on."""
 
-    def __init__(self) -> None:
-        # Without a name: a service that is killed leaves nothing behind.
-        self.file: IO[bytes] = tempfile.TemporaryFile(prefix="skugga-")
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("rb")
+        self.nbytes = os.fstat(self._file.fileno()).st_size
 
     @property
-    def nbytes(self) -> int:
-        """Bytes that it has on the disk now."""
-        return os.fstat(self.file.fileno()).st_size
+    def closed(self) -> bool:
+        """Whether it was let go."""
+        return self._file.closed
 
     def reading(self, first: int, end: int) -> Reading:
         """Its bytes from ``first`` to before ``end``."""
-        return Reading(os.dup(self.file.fileno()), first, end)
+        return Reading(os.dup(self._file.fileno()), first, end)
 
     def close(self) -> None:
         """Let go of the film."""
-        self.file.close()
+        self._file.close()
 
 
 class Reading:

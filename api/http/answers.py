@@ -27,7 +27,8 @@ ABSENT_S = 86400
 """How long caches may send what they have where the service is away."""
 
 EXPOSED_HEADERS = (
-    "ETag", "Retry-After", "Server-Timing", "X-Request-ID", "X-Skugga-Algorithm", "X-Skugga-Caster-Reach", "X-Skugga-Time",
+    "Content-Range", "ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID", "X-Skugga-Algorithm",
+    "X-Skugga-Caster-Reach", "X-Skugga-Time",
 )  # fmt: skip
 """What pages of other origins may read."""
 

@@ -10,9 +10,12 @@ from fastapi import FastAPI, Request, Response
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from api.animations.animations import Animations
+from api.animations.drawing import encode, frames_drawn_by
 from api.errors import TooLargeError
 from api.http import (
     problems,
+    routes_animations,
     routes_archives,
     routes_docs,
     routes_health,
@@ -42,6 +45,7 @@ from api.http.watching import CLIENT_GONE, KEPT, Watched
 from api.settings import Settings
 from api.workers.idle_calibration import measured_profile
 from api.workers.idle_probes import Probe, probed_level
+from api.workers.jobs import LevelKey
 from api.workers.pool import Pool
 from api.workers.render_worker import worker_main
 from api.workers.worker_process import WorkerTarget
@@ -73,8 +77,13 @@ def create_app(
         of_tiles.check_level(level)
     pool = Pool(settings, worker_target, lambda: served_pictures(served), measure, probe)
     tiles = EncodedTiles(settings.tile_cache_bytes)
-    metrics = ServiceMetrics(pool, tiles)
-    service = Service(settings, served, of_tiles, pool, tiles, NewSuns(settings.new_suns_per_minute), metrics)
+
+    async def level_now(name: str) -> LevelKey:
+        return (await served.current(name)).key
+
+    animations = Animations(settings, frames_drawn_by(pool, level_now), encode)
+    metrics = ServiceMetrics(pool, tiles, animations)
+    service = Service(settings, served, of_tiles, pool, tiles, NewSuns(settings.new_suns_per_minute), animations, metrics)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -83,6 +92,7 @@ def create_app(
         try:
             yield
         finally:
+            await service.animations.close()
             await service.pool.close()
 
     app = FastAPI(
@@ -98,15 +108,15 @@ def create_app(
     # Round those that refuse, so that pages of other origins can read why. No header of a request brings cookies or the like with
     # it: pages may send any.
     app.add_middleware(
-        CrossOrigin, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST"], allow_headers=["*"],
-        expose_headers=list(EXPOSED_HEADERS),
+        CrossOrigin, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST", "DELETE"],
+        allow_headers=["*"], expose_headers=list(EXPOSED_HEADERS),
     )  # fmt: skip
     app.add_middleware(Watched, metrics=metrics, access_log=settings.access_log)
     problems.install_problem_handlers(app)
     app.add_exception_handler(ClientGoneError, _nobody_reads)
     for routes in (
         routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,
-        routes_snapshot, routes_archives, routes_health,
+        routes_snapshot, routes_animations, routes_archives, routes_health,
     ):  # fmt: skip
         app.include_router(routes.router)
     routes_docs.install_docs(app)

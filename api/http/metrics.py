@@ -15,6 +15,7 @@ from api.workers.jobs import BlockTiles, Snapshot
 from api.workers.process_life import open_descriptors, resident_bytes
 
 if TYPE_CHECKING:
+    from api.animations.animations import Animations
     from api.http.encoded_tiles import EncodedTiles
     from api.workers.pool import Pool
 
@@ -30,7 +31,7 @@ MOST_PASSES = 200
 class ServiceMetrics:
     """The metrics of an application, in a registry of their own. To be used from one event loop."""
 
-    def __init__(self, pool: Pool, tiles: EncodedTiles) -> None:
+    def __init__(self, pool: Pool, tiles: EncodedTiles, animations: Animations) -> None:
         self.registry = CollectorRegistry()
         self._passes_told: set[tuple[str, str]] = set()
         self.requests = Counter("skugga_requests", "Requests answered.", ("route", "method", "status"), registry=self.registry)
@@ -47,7 +48,7 @@ class ServiceMetrics:
             "Drawn blocks and snapshots for which the data ended before the casters.",
             registry=self.registry,
         )
-        self.registry.register(_Seen(pool, tiles))
+        self.registry.register(_Seen(pool, tiles, animations))
         pool.on_drawn = self.drawn
 
     def drawn(self, drawn: BlockTiles | Snapshot) -> None:
@@ -74,8 +75,8 @@ class ServiceMetrics:
 class _Seen(Collector):
     """What is looked up when it is asked for."""
 
-    def __init__(self, pool: Pool, tiles: EncodedTiles) -> None:
-        self._pool, self._tiles = pool, tiles
+    def __init__(self, pool: Pool, tiles: EncodedTiles, animations: Animations) -> None:
+        self._pool, self._tiles, self._animations = pool, tiles, animations
 
     def collect(self) -> Iterable[Metric]:
         pool, tally, tiles = self._pool, self._pool.tally, self._tiles
@@ -97,7 +98,16 @@ class _Seen(Collector):
         kept = GaugeMetricFamily("skugga_cache_bytes", "What is kept.", labels=("cache",))
         kept.add_metric(["tiles"], tiles.kept_bytes)
         kept.add_metric(["blocks"], pool.kept_bytes)
+        kept.add_metric(["films"], self._animations.kept_bytes)
         yield kept
+        animations = GaugeMetricFamily("skugga_animations", "Animations that there are.", labels=("status",))
+        for status, count in self._animations.counts.items():
+            animations.add_metric([status], count)
+        yield animations
+        ended = CounterMetricFamily("skugga_animations_ended", "Animations by how they ended.", labels=("status",))
+        for status, count in self._animations.ended.items():
+            ended.add_metric([status], count)
+        yield ended
         asked = CounterMetricFamily("skugga_cache_requests", "Tiles that were asked for.", labels=("cache", "result"))
         asked.add_metric(["tiles", "hit"], tiles.hits)
         asked.add_metric(["tiles", "miss"], tiles.misses)

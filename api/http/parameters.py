@@ -121,7 +121,7 @@ async def picture_query(
     """The dependency for pictures. Raises ``InputError``."""
     sun = asked_sun(request, time, azimuth, altitude, service_of(request).settings.time_grain_s)
     return PictureRequest(
-        sun=sun, style=style_named(style), slope_exaggeration=slope_exaggeration, overrides=_served(asked)
+        sun=sun, style=style_named(style), slope_exaggeration=slope_exaggeration, overrides=served_settings(asked)
     )  # fmt: skip
 
 
@@ -151,10 +151,10 @@ async def plan_query(
         )
     if policy not in get_args(ServedPolicy):
         raise InputError("policy", policy, ", ".join(get_args(ServedPolicy)))
-    return PlanQuery(cast(ServedPolicy, policy), _served(asked))
+    return PlanQuery(cast(ServedPolicy, policy), served_settings(asked))
 
 
-def _served(asked: dict[str, Any]) -> RequestedSettings:
+def served_settings(asked: dict[str, Any]) -> RequestedSettings:
     """Overrides that ask for nothing that is not served. Raises ``InputError``."""
     if asked.get("algorithm") is not None:
         parse_algorithm(asked["algorithm"], names=served_algorithms())

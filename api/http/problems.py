@@ -97,14 +97,20 @@ def public_error(request: Request, error: SkuggaError) -> tuple[Outcome, str]:
     return outcome, outcome.public or str(error)
 
 
-def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
-    """A domain error as a problem document."""
-    outcome, text = public_error(request, error)
-    retry_after_s = getattr(error, "retry_after_s", None) or outcome.retry_after_s
-    headers = None if retry_after_s is None else {"Retry-After": str(retry_after_s)}
+def public_problem(error: SkuggaError) -> Problem:
+    """What clients read of a domain error."""
+    outcome = outcome_of(error)
     # An error that is not the client's blames none of his parameters: its name would be the operator's file.
     parameter = getattr(error, "name", None) if outcome.public is None else None
-    return problem_response(problem_of(outcome.status, text, outcome.code, parameter), headers)
+    return problem_of(outcome.status, outcome.public or str(error), outcome.code, parameter)
+
+
+def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:
+    """A domain error as a problem document."""
+    outcome, _ = public_error(request, error)
+    retry_after_s = getattr(error, "retry_after_s", None) or outcome.retry_after_s
+    headers = None if retry_after_s is None else {"Retry-After": str(retry_after_s)}
+    return problem_response(public_problem(error), headers)
 
 
 def install_problem_handlers(app: FastAPI) -> None:
@@ -149,7 +155,7 @@ def _methods_at(request: Request) -> list[str]:
         routes = [route for route in request.app.routes if method == "GET" or not isinstance(route, Mount)]  # of files
         return any(route.matches(scope)[0] is Match.FULL for route in routes)
 
-    return [*(["GET", "HEAD"] if has("GET") else []), *(["POST"] if has("POST") else [])]
+    return [*(["GET", "HEAD"] if has("GET") else []), *(method for method in ("POST", "DELETE") if has(method))]
 
 
 def _first_wrong(error: RequestValidationError) -> InputError:

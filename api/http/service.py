@@ -10,6 +10,9 @@ from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Request
 
+from api.animations.animations import Animations
+from api.animations.drawing import frame_job
+from api.animations.film_order import FilmOrder
 from api.errors import NotServedError
 from api.http.answers import FACTS_S
 from api.http.encoded_tiles import EncodedTiles
@@ -19,7 +22,7 @@ from api.http.new_suns import NewSuns
 from api.http.served_archives import ServedArchives
 from api.http.served_levels import ServedLevel, ServedLevels
 from api.settings import Settings
-from api.workers.jobs import DescribedPlanJob, Job, Result
+from api.workers.jobs import DescribedPlanJob, FilmChecked, Job, Result
 from api.workers.pool import Pool
 from terrain.errors import LevelError, SkuggaError, SourceError
 
@@ -30,7 +33,7 @@ log = logging.getLogger("skugga")
 
 @dataclass(frozen=True)
 class Service:
-    """Settings, levels, archives and render processes of an application."""
+    """Settings, levels, archives, render processes and animations of an application."""
 
     settings: Settings
     levels: ServedLevels
@@ -38,6 +41,7 @@ class Service:
     pool: Pool
     tiles: EncodedTiles
     new_suns: NewSuns
+    animations: Animations
     metrics: ServiceMetrics
 
     @property
@@ -51,6 +55,10 @@ class Service:
         """
         soon_others = self.pool.calibrating.expected or self.pool.probing.waiting
         return fresh_for(request, min(otherwise_s, FACTS_S) if soon_others else otherwise_s)
+
+    def frame_s(self, order: FilmOrder, checked: FilmChecked) -> float:
+        """How many seconds each frame of a film is expected to take."""
+        return self.pool.expected_s(frame_job(order, 0)) if checked.frame_ms is None else checked.frame_ms / 1000.0
 
     async def level(self, name: str) -> ServedLevel:
         """A level as it is now. Raises ``NotServedError``, ``LevelError`` or ``SourceError``."""

@@ -39,7 +39,7 @@ def page_policy(tiles: str = "'self'") -> str:
 CLIENT_GONE = 499
 """Status in logs and metrics of a request whose client has gone, as nginx has it; nobody reads it."""
 
-METHODS = {"GET", "HEAD", "POST", "OPTIONS"}
+METHODS = {"GET", "HEAD", "POST", "DELETE", "OPTIONS"}
 
 request_id: ContextVar[str] = ContextVar("request_id", default="")
 

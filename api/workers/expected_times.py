@@ -24,7 +24,9 @@ FIRST_GUESS_S: dict[type, float] = {
     BlockJob: 0.5, SunHoursJob: 3.0, PlanJob: 0.5, DescribedPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, MapJob: 2.5,
     PointJob: 0.1, PointsJob: 1.0, FilmCheckJob: 0.5, FrameJob: 2.5,
 }  # fmt: skip
-"""Seconds of a job of which nothing is known yet, of a snapshot, map or frame of ``USUAL_PX``: with a software rasteriser on two cores."""
+"""Seconds of a job of which nothing is known yet, of a snapshot, map or frame of ``USUAL_PX``: with a software rasteriser on two
+cores.
+"""
 
 USUAL_PX = 1280 * 1024
 
@@ -67,4 +69,5 @@ def kind_of_job(job: Job) -> Hashable:
 
 def _size_of(job: Job) -> float:
     """How much of what is known of its kind a job is."""
-    return 1.0 if not isinstance(job, SnapshotJob | MapJob | FrameJob) or job.size is None else max(job.size[0] * job.size[1] / USUAL_PX, 0.01)
+    size = job.size if isinstance(job, SnapshotJob | MapJob | FrameJob) else None
+    return 1.0 if size is None else max(size[0] * size[1] / USUAL_PX, 0.01)

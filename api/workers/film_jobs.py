@@ -31,8 +31,6 @@ def film_picture(job: FrameJob, scene: Scene, basis: PlanBasis) -> FilmPicture:
     return FilmPicture(frame.color, CarriedPlans(replanner.state))
 
 
-def _replanner(
-    film: Film, moment: FrameMoment, scene: Scene, basis: PlanBasis, before: CarriedPlans | None = None
-) -> Replanner:
+def _replanner(film: Film, moment: FrameMoment, scene: Scene, basis: PlanBasis, before: CarriedPlans | None = None) -> Replanner:
     plans = plans_in_service(moment.scene(scene), moment.view, film.level, basis)
     return Replanner(plans=plans, state=None if before is None else before.state)

@@ -17,8 +17,8 @@ LOADED_WAIT_S = 0.5
 
 
 BEHIND_S = 20.0
-"""By how much later than it did what stands back is taken to have come: whoever asks for a picture meanwhile goes first. Under a load
-that does not end it still has its turn.
+"""By how much later than it did what stands back is taken to have come: whoever asks for a picture meanwhile goes first. Under a
+load that does not end it still has its turn.
 """
 
 
@@ -47,8 +47,8 @@ class JobQueue:
 
     The next one is whoever came first, as if each had come later by as long as it will take: light ones pass heavy ones that came
     a little before them, and nothing waits for ever. What stands back has come ``BEHIND_S`` later, and keeps nobody out: pictures
-    are refused or let in as if it did not wait. Jobs that are not known to be light, and those that stand back, run on all processes
-    but one, where there are several: one is left to the others.
+    are refused or let in as if it did not wait. Jobs that are not known to be light, and those that stand back, run on all
+    processes but one, where there are several: one is left to the others.
     """
 
     processes: int

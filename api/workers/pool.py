@@ -178,6 +178,10 @@ class Pool:
         drawn = self._finished.get(job, self._version_of(job))
         return None if isinstance(drawn, Missing) else drawn
 
+    def expected_s(self, job: Job) -> float:
+        """Seconds that a job is expected to take, without its waiting."""
+        return self._queue.expected.of(job)
+
     def open(self) -> None:
         """Start the processes; returns at once."""
         self.idle.open()

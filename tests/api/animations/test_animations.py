@@ -14,7 +14,6 @@ import pytest
 
 from api.animations.animation import Animation
 from api.animations.animations import Animations
-from api.animations.film_file import FilmFile
 from api.animations.film_order import FilmOrder
 from api.errors import LaterError, NotServedError, StorageError
 from api.settings import Settings
@@ -31,6 +30,10 @@ def order(number: int = 0, frames: int = FRAMES) -> FilmOrder:
     return FilmOrder(level=level, level_name="level", span=FilmSpan(frames, 60.0 + number))
 
 
+def ask(animations: Animations, asked: FilmOrder) -> Animation:
+    return animations.ask(asked, frame_s=2.0)
+
+
 class Studio:
     """Draws frames that are their numbers, each when it is let go, and writes them as text."""
 
@@ -39,7 +42,7 @@ class Studio:
         self.fails_at: dict[int, Exception] = {}
         self.encoder_fails: Exception | None = None
         self.encoding = threading.Event()
-        self.files: list[FilmFile] = []
+        self.folders: list[Path] = []
 
     async def draw(self, order: FilmOrder) -> AsyncGenerator[np.ndarray, None]:
         try:
@@ -55,14 +58,14 @@ class Studio:
         finally:
             self.closed += 1
 
-    def encode(self, frames: Iterable[np.ndarray], film: FilmFile, order: FilmOrder) -> None:
-        self.files.append(film)
-        for frame in frames:
-            self.encoding.set()
-            film.file.write(f"{frame[0, 0, 0]},".encode())
-            if self.encoder_fails is not None:
-                raise self.encoder_fails
-        film.file.flush()
+    def encode(self, path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
+        self.folders.append(path.parent)
+        with path.open("w") as file:
+            for frame in frames:
+                self.encoding.set()
+                file.write(f"{frame[0, 0, 0]},")
+                if self.encoder_fails is not None:
+                    raise self.encoder_fails
 
     def let_go(self, frames: int) -> None:
         for _ in range(frames):
@@ -78,13 +81,13 @@ def with_animations(scenario: Scenario, **settings) -> None:
 
     async def run() -> None:
         studio = Studio()
-        animations = Animations(Settings(**settings), studio.draw, studio.encode, lambda order: 2.0)
+        animations = Animations(Settings(**settings), studio.draw, studio.encode)
         try:
             await asyncio.wait_for(scenario(animations, studio), SOON_S)
         finally:
             await asyncio.wait_for(animations.close(), SOON_S)
         assert studio.drawing == 0
-        assert all(film.file.closed for film in studio.files)
+        assert not any(folder.exists() for folder in studio.folders)
 
     asyncio.run(run())
     assert (set(os.listdir("/proc/self/fd")), threading.active_count()) == before
@@ -100,7 +103,7 @@ def film_of(animation: Animation) -> bytes:
 
 def test_an_animation_goes_from_accepted_to_successful_and_its_film_is_whole():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        animation = animations.ask(order())
+        animation = ask(animations, order())
         assert (animation.status, animation.frames_done, animation.film) == ("accepted", 0, None)
         studio.let_go(2)
         await until(lambda: animation.frames_done == 2)
@@ -121,11 +124,11 @@ def test_one_frame_at_most_is_drawn_ahead():
         held = threading.Event()
         real = studio.encode
 
-        def slow(frames: Iterable[np.ndarray], film: FilmFile, order: FilmOrder) -> None:
-            real((held.wait() and frame for frame in frames), film, order)
+        def slow(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
+            real(path, (frame for frame in frames if held.wait()), order)
 
         animations._encode = slow
-        animation = animations.ask(order(frames=10))
+        animation = ask(animations, order(frames=10))
         studio.let_go(10)
         await until(lambda: animation.frames_done == 2)
         for _ in range(20):
@@ -139,20 +142,20 @@ def test_one_frame_at_most_is_drawn_ahead():
 
 def test_the_same_order_is_the_same_animation_while_it_is_drawn_and_kept():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        first = animations.ask(order())
-        assert animations.ask(order()) is first and animations.ask(order(1)) is not first
+        first = ask(animations, order())
+        assert ask(animations, order()) is first and ask(animations, order(1)) is not first
         studio.let_go(FRAMES)
         await until(lambda: first.ended)
-        assert animations.ask(order()) is first
+        assert ask(animations, order()) is first
         animations.dismiss(first, "enough")
-        assert animations.ask(order()) is not first
+        assert ask(animations, order()) is not first
 
     with_animations(scenario)
 
 
 def test_they_are_drawn_in_the_order_in_which_they_came():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        first, second, third = (animations.ask(order(number)) for number in range(3))
+        first, second, third = (ask(animations, order(number)) for number in range(3))
         for done in range(1, 3 * FRAMES + 1):
             studio.let_go(1)
             await until(lambda done=done: sum(each.frames_done for each in (first, second, third)) == done)
@@ -167,7 +170,7 @@ def test_they_are_drawn_in_the_order_in_which_they_came():
 
 def test_seconds_left_count_those_before():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        first, second = animations.ask(order(0)), animations.ask(order(1, frames=2))
+        first, second = ask(animations, order(0)), ask(animations, order(1, frames=2))
         assert animations.seconds_left(first) == 8.0
         assert animations.seconds_left(second) == 12.0
         studio.let_go(FRAMES)
@@ -179,26 +182,25 @@ def test_seconds_left_count_those_before():
 
 def test_more_than_may_wait_are_refused_and_told_when_to_come_back():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        first, second = animations.ask(order(0)), animations.ask(order(1))
+        first, second = ask(animations, order(0)), ask(animations, order(1))
         with pytest.raises(LaterError) as refused:
-            animations.ask(order(2))
+            ask(animations, order(2))
         assert refused.value.retry_after_s == 8, "as long as the first one takes"
-        assert animations.ask(order(1)) is second, "what is there already takes no place"
+        assert ask(animations, order(1)) is second, "what is there already takes no place"
         animations.dismiss(first, "enough")
-        assert animations.ask(order(2)).status == "accepted"
+        assert ask(animations, order(2)).status == "accepted"
 
     with_animations(scenario, animations_waiting=1)
 
 
 def test_a_dismissed_animation_stops_and_gives_its_place_away():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        first, second = animations.ask(order(0)), animations.ask(order(1))
+        first, second = ask(animations, order(0)), ask(animations, order(1))
         studio.let_go(1)
         await until(lambda: first.frames_done == 1 and studio.drawing == 1)
         animations.dismiss(first, "enough")
         assert (first.status, first.message) == ("dismissed", "enough")
         await until(lambda: second.status == "running")
-        assert studio.files[0].file.closed
         studio.let_go(FRAMES)
         await until(lambda: second.ended)
         assert film_of(second) == b"0,1,2,3,"
@@ -213,7 +215,7 @@ def test_a_dismissed_animation_stops_and_gives_its_place_away():
 
 def test_a_dismissed_film_is_gone_but_for_those_who_read_it():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        animation = animations.ask(order())
+        animation = ask(animations, order())
         studio.let_go(FRAMES)
         await until(lambda: animation.ended)
         assert animation.film is not None
@@ -230,7 +232,7 @@ def test_a_dismissed_film_is_gone_but_for_those_who_read_it():
 
 def test_what_nobody_asks_about_is_given_up():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        animation = animations.ask(order())
+        animation = ask(animations, order())
         await until(lambda: animation.ended)
         assert animation.status == "dismissed"
         assert animation.message is not None and "SKUGGA_ANIMATION_ABANDONED_S" in animation.message
@@ -243,10 +245,10 @@ def test_what_is_asked_about_goes_on():
     """Each question puts off the end: it is the timer of the last one that counts."""
 
     async def scenario(animations: Animations, studio: Studio) -> None:
-        animation = animations.ask(order())
-        for ask in (lambda: animations.get(animation.id), lambda: animations.ask(order())):
+        animation = ask(animations, order())
+        for question in (lambda: animations.get(animation.id), lambda: ask(animations, order())):
             before = animation.ending
-            assert ask() is animation
+            assert question() is animation
             assert before is not None and before.cancelled() and animation.ending is not before
         studio.let_go(FRAMES)
         await until(lambda: animation.ended)
@@ -257,26 +259,44 @@ def test_what_is_asked_about_goes_on():
 
 def test_films_go_after_an_age():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        animation = animations.ask(order())
+        animation = ask(animations, order())
         studio.let_go(FRAMES)
         await until(lambda: animation.ended)
         await until(lambda: not animations.counts["successful"])
         with pytest.raises(NotServedError):
             animations.get(animation.id)
-        assert studio.files[0].file.closed
-        assert animations.ask(order()) is not animation
+        assert ask(animations, order()) is not animation
 
     with_animations(scenario, animation_age_s=0.05)
 
 
+def test_a_film_that_is_larger_than_all_may_be_is_none():
+    async def scenario(animations: Animations, studio: Studio) -> None:
+        real = studio.encode
+
+        def huge(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
+            real(path, frames, order)
+            os.truncate(path, 2**20 + 1)
+
+        animations._encode = huge
+        animation = ask(animations, order())
+        studio.let_go(FRAMES)
+        await until(lambda: animation.ended)
+        assert animation.status == "failed"
+        assert "1048577 bytes" in str(animation.error) and "SKUGGA_ANIMATION_BYTES" in str(animation.error)
+
+    with_animations(scenario, animation_bytes=2**20)
+
+
 def test_the_oldest_films_go_where_there_are_too_many():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        made = []
+        made, films = [], []
         for number in range(3):
-            made.append(animations.ask(order(number)))
+            made.append(ask(animations, order(number)))
             studio.let_go(FRAMES)
             await until(lambda: made[-1].ended)
-        assert [film.file.closed for film in studio.files] == [True, False, False]
+            films.append(made[-1].film)
+        assert [film.closed for film in films] == [True, False, False]
         with pytest.raises(NotServedError):
             animations.get(made[0].id)
         assert animations.get(made[1].id) is made[1]
@@ -288,16 +308,18 @@ def test_the_oldest_films_go_where_they_are_too_large():
     async def scenario(animations: Animations, studio: Studio) -> None:
         real = studio.encode
 
-        def large(frames: Iterable[np.ndarray], film: FilmFile, order: FilmOrder) -> None:
-            real(frames, film, order)
-            film.file.truncate(600_000)
+        def large(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
+            real(path, frames, order)
+            os.truncate(path, 600_000)
 
         animations._encode = large
+        films = []
         for number in range(2):
-            last = animations.ask(order(number))
+            last = ask(animations, order(number))
             studio.let_go(FRAMES)
             await until(lambda last=last: last.ended)
-        assert [film.file.closed for film in studio.files] == [True, False]
+            films.append(last.film)
+        assert [film.closed for film in films] == [True, False]
         assert animations.kept_bytes == 600_000
 
     with_animations(scenario, animation_bytes=2**20)
@@ -319,24 +341,23 @@ def test_one_that_fails_says_why_and_the_next_one_is_drawn(raised: Exception, to
             studio.fails_at[1] = raised
         else:
             studio.encoder_fails = raised
-        first, second = animations.ask(order(0)), animations.ask(order(1))
+        first, second = ask(animations, order(0)), ask(animations, order(1))
         studio.let_go(2)
         await until(lambda: first.ended)
         assert (first.status, type(first.error), first.film) == ("failed", told, None)
-        assert studio.files[0].file.closed
         studio.fails_at, studio.encoder_fails = {}, None
         studio.let_go(FRAMES)
         await until(lambda: second.ended)
         assert second.status == "successful"
-        assert animations.ask(order(0)) is not first, "it is tried again"
+        assert ask(animations, order(0)) is not first, "it is tried again"
 
     with_animations(scenario)
 
 
 def test_an_encoder_that_stops_early_leaves_nothing_running():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        animations._encode = lambda frames, film, order: None
-        animation = animations.ask(order())
+        animations._encode = lambda path, frames, order: path.touch()
+        animation = ask(animations, order())
         await until(lambda: animation.ended)
         assert studio.drawing == 0
 
@@ -347,20 +368,20 @@ def test_a_service_that_stops_ends_all_of_them():
     """Also one whose encoder is just at work, and one that waits."""
 
     async def scenario(animations: Animations, studio: Studio) -> None:
-        first, second = animations.ask(order(0)), animations.ask(order(1))
+        first, second = ask(animations, order(0)), ask(animations, order(1))
         studio.let_go(1)
         await asyncio.to_thread(studio.encoding.wait, SOON_S)
         await animations.close()
         assert (first.status, second.status) == ("dismissed", "dismissed")
         with pytest.raises(BusyError):
-            animations.ask(order(2))
+            ask(animations, order(2))
 
     with_animations(scenario)
 
 
 def test_names_are_long_and_never_the_same():
     async def scenario(animations: Animations, studio: Studio) -> None:
-        names = {animations.ask(order(number)).id for number in range(4)}
+        names = {ask(animations, order(number)).id for number in range(4)}
         assert len(names) == 4 and all(len(name) == 32 for name in names)
         with pytest.raises(NotServedError):
             animations.get("0" * 32)
