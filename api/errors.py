@@ -126,7 +126,7 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     NotReadyError: Outcome(503, FAILED, "not_ready", retry_after_s=2),
     TooManySunsError: Outcome(429, WRONG_INPUT, "too_many_suns", retry_after_s=2),
     UnfinishedError: Outcome(409, WRONG_INPUT, "unfinished", retry_after_s=2),
-    LevelChangedError: Outcome(409, FAILED, "level_changed"),
+    LevelChangedError: Outcome(503, FAILED, "level_changed", retry_after_s=1),
     StorageError: Outcome(507, FAILED, "storage", "There is no room for the film; the service's log says why."),
     UnhealthyError: Outcome(503, FAILED, "unhealthy", "A part of the service has ended; its log says which.", retry_after_s=30),
     RenderError: Outcome(500, FAILED, "render", "The picture could not be drawn; the service's log says why."),

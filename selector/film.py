@@ -131,9 +131,7 @@ class FilmFrame:
         return self.drawn.plan
 
 
-def frame_moments(
-    scene: Scene, request: FilmRequest, most_frames: int = MOST_FRAMES, only: int | None = None
-) -> list[FrameMoment]:
+def frame_moments(scene: Scene, request: FilmRequest, most_frames: int = MOST_FRAMES, only: int | None = None) -> list[FrameMoment]:
     """All frames of a film, looked at before any is drawn; or ``only`` the one of a number.
 
     Raises ``InputError`` for more than ``most_frames``, and where the camera leaves the data or goes under the ground: it names

@@ -19,6 +19,7 @@ from api.animations.film_order import FilmOrder
 from api.animations.frame_handover import FrameHandover
 from api.errors import LaterError, NotServedError, StorageError
 from api.settings import Settings
+from api.workers.pool import LONGEST_RETRY_S
 from terrain.cache import Cache, Missing
 from terrain.errors import BusyError, Fault, InputError, RenderError, SkuggaError
 
@@ -27,9 +28,6 @@ ID_BYTES = 16
 
 STATE_BYTES = 4096
 """About what is kept of an animation without its film."""
-
-LONGEST_RETRY_S = 120
-"""The latest that a refused client is told to come back."""
 
 Draw = Callable[[FilmOrder], AsyncGenerator[np.ndarray, None]]
 """Draws the frames of a film, uint8 (rows, cols, 3), in the event loop."""

@@ -42,6 +42,6 @@ def frames_drawn_by(pool: Pool, level_now: Callable[[str], Awaitable[LevelKey]])
     return draw
 
 
-def encode(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
+def write_animation(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
     """Write a film. Raises ``OSError``."""
     write_film(path, frames, order.span.frames, order.fps)

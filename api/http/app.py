@@ -11,7 +11,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.animations.animations import Animations
-from api.animations.drawing import encode, frames_drawn_by
+from api.animations.drawing import frames_drawn_by, write_animation
 from api.errors import TooLargeError
 from api.http import (
     problems,
@@ -81,7 +81,7 @@ def create_app(
     async def level_now(name: str) -> LevelKey:
         return (await served.current(name)).key
 
-    animations = Animations(settings, frames_drawn_by(pool, level_now), encode)
+    animations = Animations(settings, frames_drawn_by(pool, level_now), write_animation)
     metrics = ServiceMetrics(pool, tiles, animations)
     service = Service(settings, served, of_tiles, pool, tiles, NewSuns(settings.new_suns_per_minute), animations, metrics)
 

@@ -27,7 +27,7 @@ from terrain.scene import MAX_PERSPECTIVE_PX
 MOST_TEXT = 60
 """Characters of a time or of a length of time."""
 
-Side = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
+FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
 Text = Annotated[str, Field(max_length=MOST_TEXT)]
 
 
@@ -48,7 +48,7 @@ class _Asked(BaseModel):
         default=None, max_length=100, examples=["ridge"], description="A view of the level; default: `map`, else its first one."
     )
     path: CameraPathSpec | None = Field(default=None, description="Instead of `view`, a camera that moves, as in a camera file.")
-    size: tuple[Side, Side] | None = Field(
+    size: tuple[FrameSide, FrameSide] | None = Field(
         default=None, examples=[[640, 480]], description="Width and height in pixels; default: those of the view or the path."
     )
     seconds: float | None = Field(

@@ -24,7 +24,7 @@ EXAMPLE: dict[str, Any] = {
 
 EXAMPLE_ID = "6f1c2a7e0d9b4c53a8e1f0d2b3c4a596"
 
-FAILURES = 404, 409, 422, 500, 503, 504, 507
+RESULT_ERRORS = 404, 409, 422, 500, 503, 504, 507
 """Statuses of a film that could not be made, which are those of its result."""
 
 AnimationPath = Annotated[
@@ -88,7 +88,7 @@ async def animation_state(request: Request, service: TheService, animation: Anim
     "/animations/{animation}/result",
     summary="The film of an animation",
     response_class=Response,
-    responses=problem_docs(*FAILURES)
+    responses=problem_docs(*RESULT_ERRORS)
     | file_docs("The film.", FILM_MEDIA.values())
     | {206: {"description": "The part of it that `Range` asks for.", "content": {each: {} for each in FILM_MEDIA.values()}}},
     dependencies=[Depends(allow_only())],

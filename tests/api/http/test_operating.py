@@ -10,6 +10,8 @@ import pytest
 from prometheus_client.metrics_core import Metric
 from pydantic_core import PydanticUndefined
 
+from api.animations.animations import Animations
+from api.animations.drawing import frames_drawn_by, write_animation
 from api.http.encoded_tiles import EncodedTiles
 from api.http.metrics import ServiceMetrics
 from api.http.problems import problem_kinds
@@ -57,7 +59,9 @@ def problems_table() -> str:
 
 def families() -> list[Metric]:
     settings = Settings(workers=1)
-    return list(ServiceMetrics(Pool(settings), EncodedTiles(1)).registry.collect())
+    pool = Pool(settings)
+    animations = Animations(settings, frames_drawn_by(pool, None), write_animation)  # type: ignore[arg-type]
+    return list(ServiceMetrics(pool, EncodedTiles(1), animations).registry.collect())
 
 
 @pytest.mark.parametrize(
