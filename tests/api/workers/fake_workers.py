@@ -8,8 +8,25 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Semaphore
 
+import numpy as np
+
 from api.workers.block_tiles import BLOCK_TILES
-from api.workers.jobs import BlockJob, BlockTiles, Failure, Ping, PlanAnswer, PlanJob, Pong, Preparing, Ready
+from api.workers.jobs import (
+    BlockJob,
+    BlockTiles,
+    CarriedPlans,
+    Failure,
+    FilmChecked,
+    FilmCheckJob,
+    FilmPicture,
+    FrameJob,
+    Ping,
+    PlanAnswer,
+    PlanJob,
+    Pong,
+    Preparing,
+    Ready,
+)
 from api.workers.plan_basis import PlanBasis
 from api.workers.render_worker import WorkerConfig
 from selector.map_probes import MapClass
@@ -17,6 +34,7 @@ from terrain.errors import GraphicsError, InputError, RenderError
 
 RENDERER, VERSION = "fake", "1"
 UNPROBED = MapClass(4, -1)
+FILM_ROWS, FILM_COLS = 4, 6
 PLACES = [(row, col) for row in range(BLOCK_TILES) for col in range(BLOCK_TILES)]
 
 
@@ -82,6 +100,45 @@ def planning(pipe: Connection, config: WorkerConfig, begun: Semaphore | None = N
             lacks = None if basis.device is None or basis.probes_of(job.level).classes else UNPROBED
             tiles = dict.fromkeys(PLACES, version.encode())
             pipe.send(replace(_answer("draw"), tiles=tiles, plan_version=version, unprobed=lacks))
+
+
+def filming(
+    pipe: Connection,
+    config: WorkerConfig,
+    begun: Semaphore | None = None,
+    go: Semaphore | None = None,
+    orders: tuple[tuple[int, str], ...] = (),
+) -> None:
+    """Draws frames whose every value is how many frames were planned one after the other, and all else as ``obedient``. Gated
+    alike, but that films are looked at at once. ``orders`` are by the numbers of frames: ``crash``, ``fail``.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    pipe.send(Ready(RENDERER))
+    while True:
+        try:
+            job = pipe.recv()
+        except EOFError:
+            return
+        if isinstance(job, Ping):
+            pipe.send(Pong())
+            continue
+        if isinstance(job, FilmCheckJob):
+            refused = Failure.of(InputError("path, frame 2 (60 s): eye", "3 m under the ground", "a camera above the ground"))
+            pipe.send(refused if job.view == "refuse" else FilmChecked(1500.0))
+            continue
+        if begun is not None:
+            begun.release()
+        if go is not None:
+            go.acquire()
+        if not isinstance(job, FrameJob):
+            pipe.send(_answer("draw"))
+            continue
+        order = dict(orders).get(job.number)
+        if order == "crash":
+            os._exit(9)
+        planned = 1 if job.before is None else job.before.state + 1
+        picture = FilmPicture(np.full((FILM_ROWS, FILM_COLS, 3), planned, np.uint8), CarriedPlans(planned))  # type: ignore[arg-type]
+        pipe.send(picture if order is None else _answer(order))
 
 
 def hanging(pipe: Connection, config: WorkerConfig) -> None:

@@ -1,0 +1,245 @@
+"""Frames of films in the queue and in render processes: behind all others, begun again where they are lost, planned from one to the
+next whoever draws them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import os
+import pickle
+import signal
+from collections.abc import Callable
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from api.errors import LaterError, WorkerCrashError
+from api.workers import film_jobs
+from api.workers.expected_times import ExpectedTimes
+from api.workers.job_queue import BEHIND_S, JobQueue, PendingJob
+from api.workers.jobs import CarriedPlans, FilmPicture, FrameJob, PictureRequest
+from api.workers.plan_basis import PlanBasis
+from api.workers.pool import Pool
+from selector.film import FilmRequest, FilmSpan, film_frames, frame_moments
+from selector.replanning import Replanner
+from selector.select import select
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import build_scene
+from tests.api.conftest import write_level
+from tests.api.workers import fake_workers
+from tests.api.workers.test_pool import LEVEL, SOON_S, block, order, until, with_pool
+
+SPAN = FilmSpan(10, 60.0)
+
+
+def frame(number: int = 0, before: CarriedPlans | None = None) -> FrameJob:
+    return FrameJob(level=LEVEL, span=SPAN, size=(96, 64), number=number, before=before)
+
+
+def pending(job: Any, came_s: float) -> PendingJob:
+    return PendingJob(job, None, came_s, stands_back=isinstance(job, FrameJob))  # type: ignore[arg-type]
+
+
+def test_whoever_asks_for_a_picture_goes_before_a_frame_that_came_earlier():
+    queue = JobQueue(1, ExpectedTimes())
+    first, tile, plan = pending(frame(), 0.0), pending(block(1), 1.0), pending(order("map"), BEHIND_S - 1.0)
+    for each in (first, tile, plan):
+        queue.put(each)
+    taken = []
+    for _ in range(3):
+        taken.append(queue.take(20.0))
+        queue.discard(taken[-1])  # type: ignore[arg-type]
+    assert taken == [tile, plan, first]
+
+
+def test_a_frame_has_its_turn_under_a_load_that_does_not_end():
+    queue = JobQueue(1, ExpectedTimes())
+    first, late = pending(frame(), 0.0), pending(block(1), BEHIND_S + 30.0)
+    queue.put(first)
+    queue.put(late)
+    assert queue.take(BEHIND_S + 30.0) is first
+
+
+def test_frames_leave_one_process_to_others_however_fast_they_are():
+    queue = JobQueue(3, ExpectedTimes())
+    queue.expected.learn(frame(), 0.001)
+    for number in range(3):
+        queue.put(pending(frame(number), 0.0))
+    assert [queue.take(0.0) is not None for _ in range(3)] == [True, True, False]
+    queue.expected.learn(block(0), 0.1)
+    tile = pending(block(1), 1.0)
+    queue.put(tile)
+    assert queue.take(1.0) is tile
+
+
+def test_frames_that_wait_keep_nobody_out():
+    queue = JobQueue(1, ExpectedTimes())
+    queue.put(pending(frame(), 0.0))
+    assert (len(queue), len(queue.asked_for), queue.drained_s()) == (1, 0, 0.0)
+    assert queue.wait_s(block(1), 5.0) == 0.0
+    assert queue.longest_wait_s(block(1), 100.0, 20.0) == 20.0, "it is no load that stands"
+    queue.put(pending(block(1), 100.0))
+    assert queue.longest_wait_s(block(2), 101.0, 20.0) == 20.0, "which begins with the first picture that waits"
+
+
+class FilmGate:
+    """Holds a process's jobs; ``orders`` are by numbers of frames."""
+
+    def __init__(self, *orders: tuple[int, str]) -> None:
+        spawn = get_context("spawn")
+        self._begun, self._go = spawn.Semaphore(0), spawn.Semaphore(0)
+        self.target = functools.partial(fake_workers.filming, begun=self._begun, go=self._go, orders=orders)
+
+    async def begun(self) -> None:
+        assert await asyncio.to_thread(self._begun.acquire, True, SOON_S)
+
+    def open(self, times: int = 1) -> None:
+        for _ in range(times):
+            self._go.release()
+
+
+def test_pictures_pass_frames_and_a_full_queue_takes_them():
+    gate = FilmGate()
+
+    async def scenario(pool: Pool) -> None:
+        ended: list[str] = []
+
+        async def run(name: str, job: Any) -> None:
+            await pool.run(job)
+            ended.append(name)
+
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(run("running", block(0)))
+            await gate.begun()
+            tasks.create_task(run("frame", frame(0)))
+            tasks.create_task(run("frame", frame(1)))
+            await until(lambda: pool.queued == 2)
+            tasks.create_task(run("tile", block(1)))
+            await until(lambda: pool.queued == 3)
+            with pytest.raises(LaterError, match="1 pictures are waiting"):
+                await pool.run(block(2))
+            gate.open(4)
+        assert ended == ["running", "tile", "frame", "frame"]
+        assert pool.tally.refused == 1
+
+    with_pool(scenario, gate.target, queue_length=1)
+
+
+def test_frames_wait_for_as_long_as_need_be():
+    gate = FilmGate()
+
+    async def scenario(pool: Pool) -> None:
+        running = asyncio.create_task(pool.run(block(0)))
+        await gate.begun()
+        waiting = asyncio.create_task(pool.run(frame()))
+        await until(lambda: pool.queued == 1)
+        with pytest.raises(LaterError, match="did not come within"):
+            await pool.run(block(1))  # which came later, and has to give up by now
+        assert not waiting.done()
+        gate.open(2)
+        await running
+        assert isinstance(await waiting, FilmPicture)
+
+    with_pool(scenario, gate.target, queue_timeout_s=1.0)
+
+
+def test_a_frame_whose_process_is_killed_is_drawn_again_from_the_same_plans():
+    gate = FilmGate()
+
+    async def scenario(pool: Pool) -> None:
+        gate.open()
+        first = await pool.run(frame(0))
+        await gate.begun()
+        drawing = asyncio.create_task(pool.run(frame(1, first.after)))  # type: ignore[union-attr]
+        await gate.begun()
+        os.kill(*pool.pids, signal.SIGKILL)
+        await gate.begun()
+        gate.open()
+        second = await drawing
+        assert isinstance(second, FilmPicture) and np.array_equal(second.color, np.full((4, 6, 3), 2))
+        assert pool.tally.retried == 1
+
+    with_pool(scenario, gate.target)
+
+
+def test_a_frame_that_ends_two_processes_is_told_of():
+    async def scenario(pool: Pool) -> None:
+        with pytest.raises(WorkerCrashError):
+            await pool.run(frame(3))
+        assert pool.tally.retried == 1
+
+    with_pool(scenario, functools.partial(fake_workers.filming, orders=((3, "crash"),)))
+
+
+def test_a_frame_that_nobody_waits_for_is_dropped():
+    gate = FilmGate()
+
+    async def scenario(pool: Pool) -> None:
+        running = asyncio.create_task(pool.run(block(0)))
+        await gate.begun()
+        waiting = asyncio.create_task(pool.run(frame()))
+        await until(lambda: pool.queued == 1)
+        waiting.cancel()
+        await until(lambda: pool.queued == 0)
+        assert pool.tally.abandoned == 1
+        gate.open()
+        await running
+
+    with_pool(scenario, gate.target)
+
+
+ALGORITHMS = ["sweep"] * 3 + ["shadow_map"] * 9
+"""What would be taken in each frame: the change is made after five frames that want it, and takes some."""
+
+
+@pytest.fixture
+def plans(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], Callable[..., Any]]:
+    """``plans(number)`` makes plans by ``ALGORITHMS`` for a frame."""
+
+    def plans_of(number: int) -> Callable[..., Any]:
+        def plan(descriptor: Any, plan_request: Any, overrides: Any) -> Any:
+            return select(descriptor, plan_request, {"algorithm": ALGORITHMS[number], **(overrides or {})}, "rules")
+
+        return plan
+
+    return plans_of
+
+
+def test_frames_that_are_drawn_one_by_one_are_those_of_the_film(
+    tmp_path: Path, plans: Callable[[int], Callable[..., Any]], monkeypatch: pytest.MonkeyPatch
+):
+    """To the bit, through a switch: plans go from job to job as they go from frame to frame, also through a pipe."""
+    view = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.51, 0], "size": [96, 64]}
+    path = write_level(tmp_path, "hills", views={"eye": view})
+    scene = build_scene(load_level(path))
+    request = FilmRequest(FilmSpan(len(ALGORITHMS), 60.0), "eye")
+    level = LEVEL.model_copy(update={"path": path})
+    replanner = Replanner(plans=lambda *asked: plans(at[0])(*asked))
+    whole, at = [], [0]
+    for moment in frame_moments(scene, request):
+        at[0] = moment.number
+        (drawn,) = film_frames(scene, request, [moment], replanner)
+        whole.append(drawn)
+    assert any(each.handover is not None for each in whole) and whole[0].plan.headline != whole[-1].plan.headline
+
+    before: CarriedPlans | None = None
+    for number, expected in enumerate(whole):
+        monkeypatch.setattr(film_jobs, "plans_in_service", lambda *_, number=number: plans(number))
+        job = FrameJob(level=level, span=request.span, view="eye", number=number, before=before)
+        picture = pickle.loads(pickle.dumps(film_jobs.film_picture(pickle.loads(pickle.dumps(job)), scene, PlanBasis())))
+        assert np.array_equal(picture.color, expected.color), number
+        before = picture.after
+    scene.close()
+
+
+def test_frames_of_one_film_are_equal_jobs_until_they_are_drawn():
+    assert frame(0) == frame(0) and hash(frame(0)) == hash(frame(0))
+    one, other = CarriedPlans(1), CarriedPlans(1)  # type: ignore[arg-type]
+    assert frame(1, one) == frame(1, one) != frame(1, other), "plans that were made apart are others"
+    lit = PictureRequest(sun=SunSpec(azimuth=100, altitude=30))
+    assert frame(0).model_copy(update={"request": lit}) != frame(0)
