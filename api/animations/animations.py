@@ -68,6 +68,11 @@ class Animations:
         return {status: found.count(status) for status in STATUSES}
 
     @property
+    def going(self) -> int:
+        """How many are drawn, or wait for that."""
+        return len(self._going)
+
+    @property
     def kept_bytes(self) -> int:
         """Bytes of the films that are kept."""
         return sum(each.film_bytes for each in self._kept.values)

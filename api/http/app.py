@@ -92,8 +92,7 @@ def create_app(
         try:
             yield
         finally:
-            await service.animations.close()
-            await service.pool.close()
+            await service.close()
 
     app = FastAPI(
         title="Skugga", version=VERSION, description="Terrain with the sun's true cast shadows, as map tiles and pictures.",

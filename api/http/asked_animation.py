@@ -6,7 +6,7 @@ from datetime import timedelta
 from importlib.util import find_spec
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import Field, create_model
 
 from api.animations.film_order import FilmFormat, FilmOrder
 from api.film_span import USUAL_FPS, film_span
@@ -20,7 +20,7 @@ from terrain.errors import Fault, InputError
 from terrain.geo.sun_path import as_utc, check_times
 from terrain.level.camera_file import CameraPathSpec
 from terrain.level.level import Shadows, parse_sun
-from terrain.level.parts import SlopeExaggeration, SunSpec
+from terrain.level.parts import Model, SlopeExaggeration, SunSpec
 from terrain.level.setting import settings_of
 from terrain.scene import MAX_PERSPECTIVE_PX
 
@@ -31,14 +31,15 @@ FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
 Text = Annotated[str, Field(max_length=MOST_TEXT)]
 
 
-class _Asked(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+_FROM = Field(
+    default=None, examples=["2024-10-21T08:00:00-04:00"],
+    description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a reading of the level's clock, as 0s: "
+    "what has a motion moves, and the sun rests. Default: as the path has it.",
+)  # fmt: skip
+_Named: Any = create_model("_Named", __base__=Model, **{"from": (Text | None, _FROM)})  # a word that no class can have a field of
 
-    from_: Text | None = Field(
-        default=None, alias="from", examples=["2024-10-21T08:00:00-04:00"],
-        description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a reading of the level's clock, as 0s: "
-        "what has a motion moves, and the sun rests. Default: as the path has it.",
-    )  # fmt: skip
+
+class _Asked(_Named):
     to: Text | None = Field(default=None, examples=["2024-10-21T18:00:00-04:00"], description="The last frame's time, likewise.")
     step: Text | None = Field(
         default=None, examples=["10m"],
@@ -91,7 +92,9 @@ def order_of(asked: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
         if asked.view is not None:
             raise InputError("view", asked.view, "nothing beside path, which is a view of its own")
         _check_positions(asked.path)
-    span = film_span(asked.from_, asked.to, asked.step, asked.fps, asked.path, asked.seconds, settings.max_animation_frames)
+    span = film_span(
+        getattr(asked, "from"), asked.to, asked.step, asked.fps, asked.path, asked.seconds, settings.max_animation_frames
+    )
     view = ALONG_PATH if asked.path is not None else level.view_named(asked.view)
     own_size = asked.path.size if asked.path is not None else level.view_sizes[view]
     if (size := asked.size or own_size) is not None:

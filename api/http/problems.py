@@ -17,6 +17,7 @@ from starlette.routing import Match, Mount
 
 from api.errors import OUTCOMES, Outcome, outcome_of
 from terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError, printable
+from terrain.level.level_errors import UNKNOWN_KEY
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -169,6 +170,9 @@ def _first_wrong(error: RequestValidationError) -> InputError:
         return InputError(name, MISSING_VALUE, "a value: it is required")
     if where == "body" and isinstance(detail.get("input"), bytes):
         return InputError("body", Fault("not sent as JSON"), "JSON, with Content-Type: application/json")
+    if detail["type"] == UNKNOWN_KEY:
+        where = ".".join([*map(str, path), detail["ctx"]["key"]])
+        return InputError(where, Fault("unknown key"), detail["ctx"]["known"])
     if detail["type"] == "model_attributes_type":
         return InputError(name, detail.get("input"), "an object")
     allowed = detail["msg"].removeprefix("Input should be ")

@@ -31,6 +31,9 @@ LAST_ANSWERS_S = 3
 DESCRIPTORS_A_WORKER = 10
 """File descriptors that are left to each render process: its pipe, its end, and what its start takes."""
 
+DESCRIPTORS_A_FILM = 4
+"""For each film that is being written; one that is kept has one."""
+
 DESCRIPTORS_LEFT = 16
 """What is left besides: for files of levels and of the viewer, and for logs."""
 
@@ -96,8 +99,8 @@ class Server(uvicorn.Server):
         log.info("Skugga serves %s on http://%s:%d", names, f"[{host}]" if ":" in host else host, port)
 
     async def shutdown(self, sockets: Any = None) -> None:
-        """End the render processes, answer what waits for them, and stop."""
-        await self._service.pool.close()
+        """End animations and render processes, answer what waits for them, and stop."""
+        await self._service.close()
         await super().shutdown(sockets)
         log.info("Skugga has stopped")
 
@@ -117,8 +120,9 @@ class Server(uvicorn.Server):
     def _say_how_it_is(self) -> None:
         pool = self._service.pool
         log.info(
-            "SIGUSR1: %d connections, %d requests, %d pictures wait, %d are drawn, render processes %s",
-            len(self.server_state.connections), len(self.server_state.tasks), pool.queued, pool.running, sorted(pool.pids),
+            "SIGUSR1: %d connections, %d requests, %d pictures wait, %d are drawn, %d animations are not done, render processes %s",
+            len(self.server_state.connections), len(self.server_state.tasks), pool.queued, pool.running,
+            self._service.animations.going, sorted(pool.pids),
         )  # fmt: skip
 
 
@@ -127,7 +131,8 @@ def connection_limit(settings: Settings) -> int:
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY:
         return settings.max_connections
-    left = soft - open_descriptors() - DESCRIPTORS_A_WORKER * settings.workers - DESCRIPTORS_LEFT
+    films = settings.animations_kept + DESCRIPTORS_A_FILM * settings.animations_at_a_time
+    left = soft - open_descriptors() - DESCRIPTORS_A_WORKER * settings.workers - films - DESCRIPTORS_LEFT
     if left < settings.max_connections:
         log.warning("at most %d connections at a time: the limit of open files is %d", max(left, LEAST_CONNECTIONS), soft)
     return min(settings.max_connections, max(left, LEAST_CONNECTIONS))

@@ -44,6 +44,11 @@ class Service:
     animations: Animations
     metrics: ServiceMetrics
 
+    async def close(self) -> None:
+        """End all that is being drawn, and what draws it."""
+        await self.animations.close()
+        await self.pool.close()
+
     @property
     def draws(self) -> bool:
         """Whether there are render processes: archives alone need none."""

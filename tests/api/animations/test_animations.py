@@ -219,12 +219,15 @@ def test_a_dismissed_film_is_gone_but_for_those_who_read_it():
         studio.let_go(FRAMES)
         await until(lambda: animation.ended)
         assert animation.film is not None
-        reading = animation.film.reading(2, 6)
+        film = animation.film
+        reading = film.reading(2, 6)
         animations.dismiss(animation, "enough")
         assert (animation.film, animations.kept_bytes) == (None, 0)
         assert reading.chunk() + reading.chunk() == b"1,2,"
-        reading.close()
-        assert reading.chunk() == b""
+        assert film.closed and not film.gone
+        for _ in range(2):
+            reading.close()
+        assert film.gone and reading.chunk() == b""
         assert animations.ended["successful"] == 1 and animations.ended["dismissed"] == 0, "it had ended before"
 
     with_animations(scenario)
@@ -296,7 +299,7 @@ def test_the_oldest_films_go_where_there_are_too_many():
             studio.let_go(FRAMES)
             await until(lambda: made[-1].ended)
             films.append(made[-1].film)
-        assert [film.closed for film in films] == [True, False, False]
+        assert [film.gone for film in films] == [True, False, False]
         with pytest.raises(NotServedError):
             animations.get(made[0].id)
         assert animations.get(made[1].id) is made[1]
@@ -319,7 +322,7 @@ def test_the_oldest_films_go_where_they_are_too_large():
             studio.let_go(FRAMES)
             await until(lambda last=last: last.ended)
             films.append(last.film)
-        assert [film.closed for film in films] == [True, False]
+        assert [film.gone for film in films] == [True, False]
         assert animations.kept_bytes == 600_000
 
     with_animations(scenario, animation_bytes=2**20)

@@ -1,0 +1,509 @@
+"""Animations as clients see them: asked for, looked after, fetched and dismissed; what is wrong with one is one clear problem."""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from httpx import Response
+from PIL import Image
+
+from api.cli import main as cli
+from api.http.animation_states import RESULTS, byte_range
+from api.http.app import create_app
+from api.settings import Settings
+from tests.api.conftest import CORNER, ENGINEERING, ZOOM, Client, running, write_level
+from tests.api.http.test_problems import check_problem
+from tests.api.workers import fake_workers
+
+SOON_S = 30.0
+ADDRESS = "/levels/hills/animations"
+ASKED: dict[str, Any] = {"from": "2024-06-21T16:00:00+02:00", "to": "2024-06-21T18:00:00+02:00", "step": "1h", "size": [64, 48]}
+"""Three frames."""
+
+EYE, TARGET = [8.43, 47.5, 300.0], [8.45, 47.51, 0.0]
+KEYS = [{"at": "0s", "eye": EYE, "target": TARGET}, {"at": "2s", "eye": [8.431, 47.501, 400.0], "target": TARGET}]
+
+
+def ended(client: Client, answer: Response) -> dict[str, Any]:
+    """The state in which an animation ended that was asked for."""
+    assert answer.status_code == 202, answer.text
+    while True:
+        state = client.get(answer.headers["location"]).json()
+        if state["status"] not in ("accepted", "running"):
+            return state
+
+
+def pictures_of(film: bytes) -> list[np.ndarray]:
+    """All pictures of an animated WebP, uint8 (rows, cols, 3)."""
+    image = Image.open(io.BytesIO(film))
+    found = []
+    for number in range(image.n_frames):
+        image.seek(number)
+        found.append(np.asarray(image.convert("RGB")))
+    return found
+
+
+class Gated:
+    """A service whose one render process waits with each frame until it is let go."""
+
+    def __init__(self, make: Callable[..., Client], *orders: tuple[int, str], **settings: Any) -> None:
+        spawn = get_context("spawn")
+        self._begun, self._go = spawn.Semaphore(0), spawn.Semaphore(0)
+        target = functools.partial(fake_workers.filming, begun=self._begun, go=self._go, orders=orders)
+        self.client = make(target, **settings)
+
+    def begun(self) -> None:
+        assert self._begun.acquire(timeout=SOON_S)
+
+    def open(self, times: int = 1) -> None:
+        for _ in range(times):
+            self._go.release()
+
+
+@pytest.fixture
+def gated(serve_with) -> Callable[..., Gated]:
+    return functools.partial(Gated, serve_with)
+
+
+@pytest.fixture
+def filming(serve_with) -> Client:
+    """A service that draws frames at once."""
+    return serve_with(fake_workers.filming)
+
+
+def test_an_animation_from_the_question_to_the_film(gated):
+    service = gated()
+    client = service.client
+    answer = client.post(ADDRESS, json=ASKED)
+    assert answer.status_code == 202 and answer.headers["cache-control"] == "no-store"
+    address, told = answer.headers["location"], answer.json()
+    assert address == f"{str(client.base_url).rstrip('/')}/animations/{told['jobID']}"
+    assert (told["status"], told["progress"], told["frames"], told["frames_done"]) == ("accepted", 0, 3, 0)
+    assert told["seconds_left"] == 4.5, "what the plan expects of its frames"
+    assert 1 <= int(answer.headers["retry-after"]) <= 5
+    service.begun()
+    refused = client.get(f"{address}/result")
+    check_problem(refused, 409, "unfinished", None)
+    assert int(refused.headers["retry-after"]) >= 1
+    service.open()
+    service.begun()
+    while (running := client.get(address)).json()["frames_done"] < 1:
+        pass
+    state = running.json()
+    assert (state["status"], state["message"], state["progress"]) == ("running", "1 of 3 frames are drawn.", 33)
+    assert running.headers["cache-control"] == "no-store" and "retry-after" in running.headers
+    service.open(2)
+    state = ended(client, answer)
+    assert (state["status"], state["progress"], state["seconds_left"]) == ("successful", 100, None)
+    (link,) = [each for each in state["links"] if each["rel"] == RESULTS]
+    assert link["href"] == f"{address}/result" and link["type"] == "image/webp"
+    film = client.get(link["href"])
+    assert film.status_code == 200 and film.headers["content-type"] == "image/webp"
+    assert int(film.headers["content-length"]) == len(film.content)
+    assert [int(each[0, 0, 0]) for each in pictures_of(film.content)] == [1, 2, 3]
+    assert "retry-after" not in client.get(address).headers
+
+
+def test_a_film_is_kept_by_its_tag_and_sent_in_parts(filming: Client):
+    state = ended(filming, filming.post(ADDRESS, json=ASKED))
+    address = f"/animations/{state['jobID']}/result"
+    whole = filming.get(address)
+    tag, size = whole.headers["etag"], len(whole.content)
+    assert whole.headers["cache-control"].startswith("private, max-age=") and whole.headers["accept-ranges"] == "bytes"
+    unchanged = filming.get(address, headers={"If-None-Match": tag})
+    assert (unchanged.status_code, unchanged.content, unchanged.headers["etag"]) == (304, b"", tag)
+    for asked, first, end in (
+        ("bytes=0-3", 0, 4),
+        ("bytes=10-", 10, size),
+        ("bytes=-5", size - 5, size),
+        (f"bytes=4-{size}", 4, size),
+    ):
+        part = filming.get(address, headers={"Range": asked})
+        assert part.status_code == 206 and part.content == whole.content[first:end], asked
+        assert part.headers["content-range"] == f"bytes {first}-{end - 1}/{size}"
+        assert int(part.headers["content-length"]) == end - first
+    for ignored in ("bytes=5-2", f"bytes={size}-", "bytes=0-1,3-4", "lines=1-2", "bytes=-", "bytes=-0"):
+        assert filming.get(address, headers={"Range": ignored}).content == whole.content, ignored
+    old = filming.get(address, headers={"Range": "bytes=0-3", "If-Range": '"another"'})
+    assert (old.status_code, old.content) == (200, whole.content)
+    head = filming.head(address)
+    assert (head.content, head.headers["content-length"]) == (b"", str(size))
+
+
+def test_ranges_are_read_as_their_standard_has_them():
+    assert byte_range("bytes=0-0", 10) == (0, 1)
+    assert byte_range("bytes=-20", 10) == (0, 10), "more than there is: all"
+    assert byte_range("", 10) is byte_range("bytes=1-x", 10) is byte_range("bytes=0-0", 0) is None
+
+
+def test_the_same_question_is_the_same_animation(gated):
+    service = gated()
+    client = service.client
+    first = client.post(ADDRESS, json=ASKED)
+    again = client.post(ADDRESS, content=json.dumps(dict(reversed(ASKED.items()))), headers={"Content-Type": "application/json"})
+    assert first.headers["location"] == again.headers["location"]
+    service.open(6)
+    assert client.post(ADDRESS, json=ASKED | {"fps": 2}).headers["location"] != first.headers["location"]
+    ended(client, first)
+    kept = client.post(ADDRESS, json=ASKED)
+    assert (kept.status_code, kept.headers["location"]) == (200, first.headers["location"])
+    assert kept.json()["status"] == "successful"
+
+
+def test_a_dismissed_animation_is_told_of_and_its_film_is_gone(gated):
+    service = gated()
+    client = service.client
+    address = client.post(ADDRESS, json=ASKED).headers["location"]
+    service.begun()
+    dismissed = client.delete(address)
+    assert (dismissed.status_code, dismissed.json()["status"]) == (200, "dismissed")
+    assert dismissed.headers["cache-control"] == "no-store"
+    assert client.get(address).json()["status"] == "dismissed"
+    check_problem(client.get(f"{address}/result"), 404, "not_found", "animation")
+    service.open(4)  # the frame that was being drawn, and those of the other one
+    again = client.post(ADDRESS, json=ASKED)
+    assert again.headers["location"] != address
+    state = ended(client, again)
+    assert state["status"] == "successful"
+    assert client.delete(again.headers["location"]).json()["status"] == "dismissed"
+    check_problem(client.get(f"{again.headers['location']}/result"), 404, "not_found", "animation")
+
+
+def test_what_is_not_there_is_not_found(filming: Client):
+    for method, path in (("GET", ""), ("GET", "/result"), ("DELETE", "")):
+        check_problem(filming.request(method, f"/animations/{'0' * 32}{path}"), 404, "not_found", "animation")
+    check_problem(filming.post("/levels/nowhere/animations", json=ASKED), 404, "not_found", "level")
+    assert filming.get(ADDRESS).headers["allow"] == "POST"
+    assert filming.put("/animations/x").headers["allow"] == "GET, HEAD, DELETE"
+
+
+def test_what_nobody_asks_about_is_not_drawn(gated):
+    service = gated(animation_abandoned_s=0.3)
+    client, animations = service.client, service.client.service.animations
+    address = client.post(ADDRESS, json=ASKED).headers["location"]
+    service.begun()
+    while animations.counts["running"]:
+        client.get("/healthz")
+    service.open()
+    state = client.get(address).json()
+    assert state["status"] == "dismissed" and "Nobody asked about it" in state["message"]
+    assert state["frames_done"] == 0
+    while client.service.pool.running:
+        client.get("/healthz")
+    assert client.service.pool.queued == 0, "no other frame of it is drawn"
+
+
+def test_films_go_after_their_age(serve_with):
+    client = serve_with(fake_workers.filming, animation_age_s=0.3)
+    answer = client.post(ADDRESS, json=ASKED)
+    while (state := client.get(answer.headers["location"])).status_code == 200:
+        pass
+    check_problem(state, 404, "not_found", "animation")
+    assert client.service.animations.kept_bytes == 0
+
+
+def test_more_than_may_wait_are_503_and_told_when_to_come_back(gated):
+    service = gated(animations_waiting=1)
+    client = service.client
+    for fps in (1, 2):
+        assert client.post(ADDRESS, json=ASKED | {"fps": fps}).status_code == 202
+    refused = client.post(ADDRESS, json=ASKED | {"fps": 3})
+    check_problem(refused, 503, "busy", None)
+    assert int(refused.headers["retry-after"]) >= 1
+    assert client.post(ADDRESS, json=ASKED | {"fps": 2}).status_code == 202, "it has its place"
+
+
+def test_tiles_go_before_the_next_frame(gated):
+    """A tile that is asked for while a frame is drawn is the next thing that is done."""
+    service = gated()
+    client = service.client
+    address = client.post(ADDRESS, json=ASKED).headers["location"]
+    service.begun()
+    x, y = CORNER
+    with ThreadPoolExecutor(1) as thread:
+        tile = thread.submit(client.get, f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{x}/{y}.png")
+        while client.service.pool.queued < 1:
+            client.get("/healthz")
+        service.open()
+        service.begun()
+        assert client.get(address).json()["frames_done"] == 1
+        service.open()
+        assert tile.result().status_code == 200, "no frame was drawn before it"
+        assert client.get(address).json()["frames_done"] == 1
+    service.open(2)
+
+
+def test_a_frame_whose_process_is_killed_is_drawn_again(gated):
+    service = gated()
+    client = service.client
+    answer = client.post(ADDRESS, json=ASKED)
+    service.open()
+    service.begun()
+    service.begun()
+    os.kill(*client.service.pool.pids, signal.SIGKILL)
+    service.begun()
+    service.open(2)
+    state = ended(client, answer)
+    assert state["status"] == "successful"
+    film = client.get(f"/animations/{state['jobID']}/result").content
+    assert [int(each[0, 0, 0]) for each in pictures_of(film)] == [1, 2, 3], "each was planned once"
+
+
+@pytest.mark.parametrize(
+    ("order", "status", "code"), [("crash", 503, "worker_crash"), ("fail", 500, "render"), ("refuse", 422, "invalid_parameter")]
+)
+def test_one_that_fails_says_why(serve_with, order: str, status: int, code: str):
+    client = serve_with(functools.partial(fake_workers.filming, orders=((1, order),)))
+    answer = client.post(ADDRESS, json=ASKED)
+    state = ended(client, answer)
+    assert state["status"] == "failed"
+    assert (state["problem"]["status"], state["problem"]["code"]) == (status, code)
+    assert state["message"] == state["problem"]["detail"] and "went wrong" not in state["message"]
+    assert len(state["links"]) == 1
+    check_problem(client.get(f"/animations/{state['jobID']}/result"), status, code, "view" if status == 422 else None)
+    assert client.post(ADDRESS, json=ASKED).headers["location"] != answer.headers["location"], "it is tried again"
+
+
+def test_a_frame_that_takes_too_long_ends_it(serve_with):
+    gate = get_context("spawn").Semaphore(0)
+    client = serve_with(functools.partial(fake_workers.filming, go=gate), render_timeout_s=0.5)
+    state = ended(client, client.post(ADDRESS, json=ASKED))
+    assert (state["status"], state["problem"]["code"]) == ("failed", "render_timeout")
+    gate.release()
+
+
+def test_a_level_that_changes_ends_it(folder: Path):
+    level = write_level(folder, "changing")
+    spawn = get_context("spawn")
+    begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
+    target = functools.partial(fake_workers.filming, begun=begun, go=go)
+    with running(create_app(Settings(workers=1, level_check_s=0), [level], target)) as client:
+        answer = client.post("/levels/changing/animations", json=ASKED)
+        assert begun.acquire(timeout=SOON_S)
+        write_level(folder, "changing", title="Another one")
+        go.release()
+        state = ended(client, answer)
+        assert (state["status"], state["problem"]["code"]) == ("failed", "level_changed")
+        other = client.post("/levels/changing/animations", json=ASKED)
+        assert other.headers["location"] != answer.headers["location"]
+        for _ in range(3):
+            go.release()
+        assert ended(client, other)["status"] == "successful"
+
+
+def test_a_service_that_stops_leaves_nothing(hills_level: Path):
+    """Neither files nor threads, with one that is drawn, one that waits and one that is done."""
+    spawn = get_context("spawn")
+    begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
+    target = functools.partial(fake_workers.filming, begun=begun, go=go)
+    with running(create_app(Settings(workers=1), [hills_level], target)) as client:
+        for _ in range(3):
+            go.release()
+        assert ended(client, client.post(ADDRESS, json=ASKED))["status"] == "successful"
+        for _ in range(3):
+            assert begun.acquire(timeout=SOON_S)
+        with ThreadPoolExecutor(2) as threads:
+            asked = [threads.submit(client.post, ADDRESS, json=ASKED | {"fps": fps}) for fps in (1, 2)]
+            for _ in range(2):  # whichever film is looked at first may have its first frame drawn before the other one is
+                go.release()
+            addresses = [each.result().headers["location"] for each in asked]
+        animations = client.service.animations
+        going = list(animations._going.values())
+    assert {each.id for each in going} == {address.rpartition("/")[2] for address in addresses}
+    assert [each.status for each in going] == ["dismissed", "dismissed"]
+    assert animations.kept_bytes == 0 and not animations.counts["successful"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "parameter", "said"),
+    [
+        ({"from": None}, "from", "from and to together"),
+        ({"from": "yesterday"}, "from", "ISO 8601"),
+        ({"from": "2024-06-21T16:00:00"}, "from", "offset"),
+        ({"to": "2024-06-21T15:00:00+02:00"}, "to", "not before from"),
+        ({"to": "10m"}, "to", "both"),
+        ({"to": "2924-06-21T15:00:00+02:00", "step": "300000d"}, "to", "years"),
+        ({"step": None}, "step", "missing"),
+        ({"step": "often"}, "step", "a number and s, m, h or d"),
+        ({"step": "0s"}, "step", "at least"),
+        ({"step": "1s"}, "step", "at most 720 frames"),
+        ({"step": 5}, "step", "a valid string"),
+        ({"fps": 0}, "fps", "0.1 to 120"),
+        ({"fps": "fast"}, "fps", "a valid number"),
+        ({"format": "gif"}, "format", "'webp' or 'mp4'"),
+        ({"view": "nowhere"}, "view", "map"),
+        ({"view": "map", "path": {"keys": KEYS}}, "view", "nothing beside path"),
+        ({"path": {"keys": KEYS[:1]}}, "path.keys", "at least 2"),
+        ({"path": {"keys": [*KEYS, KEYS[0]]}}, "path.keys.2.at", "later"),
+        ({"path": {"keys": [KEYS[0] | {"eye": [8.43, 47.5, 1e6]}, KEYS[1]]}}, "path.keys.0.eye", "at most 100000"),
+        ({"path": {"keys": [KEYS[0] | {"height": 1}, KEYS[1]]}}, "path.keys.0.height", "at, eye, target, fov"),
+        ({"size": [64]}, "size.1", "missing"),
+        ({"size": [0, 48]}, "size.0", "greater than or equal to 1"),
+        ({"size": "64x48"}, "size", "a valid tuple"),
+        ({"size": [2000, 2000]}, "size", "SKUGGA_MAX_ANIMATION_FRAME_PIXELS"),
+        ({"size": [1200, 1000], "step": "1m"}, "size", "SKUGGA_MAX_ANIMATION_PIXELS"),
+        ({"time": "2024-06-21T16:00:00+02:00"}, "time", "nothing beside dates"),
+        ({"azimuth": 100, "altitude": 20}, "azimuth", "nothing beside dates"),
+        ({"azimuth": 100}, "azimuth, altitude", "azimuth and altitude"),
+        ({"style": "ugly"}, "style", "swiss"),
+        ({"slope_exaggeration": 0}, "slope_exaggeration", "0.1"),
+        ({"algorithm": "truth"}, "algorithm", "shadow_map"),
+        ({"algorithm": "relief="}, "algorithm", "shadow_map"),
+        ({"map_size": 10}, "map_size", "64"),
+        ({"seconds": 1e10}, "seconds", "1000000000"),
+        ({"file": "dem.tif"}, "file", "from, to, step"),
+    ],
+)
+def test_what_is_wrong_is_named_before_anything_is_drawn(filming: Client, asked: dict[str, Any], parameter: str, said: str):
+    answer = filming.post(ADDRESS, json={key: value for key, value in (ASKED | asked).items() if value is not None})
+    problem = check_problem(answer, 422, "invalid_parameter", parameter)
+    assert said in problem["detail"]
+    assert not any(filming.service.animations.counts.values())
+
+
+def test_a_body_that_is_none(filming: Client):
+    check_problem(
+        filming.post(ADDRESS, content="{", headers={"Content-Type": "application/json"}), 422, "invalid_parameter", "body"
+    )
+    check_problem(filming.post(ADDRESS), 422, "invalid_parameter", "body")
+    check_problem(filming.post(f"{ADDRESS}?step=1h", json=ASKED), 422, "invalid_parameter", "step")
+
+
+def test_mp4_is_refused_where_there_is_no_encoder_of_it(filming: Client, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("api.http.asked_animation.find_spec", lambda name: None)
+    problem = check_problem(filming.post(ADDRESS, json=ASKED | {"format": "mp4"}), 422, "invalid_parameter", "format")
+    assert "no encoder of mp4" in problem["detail"]
+
+
+def test_an_mp4(filming: Client):
+    av = pytest.importorskip("av")
+    state = ended(filming, filming.post(ADDRESS, json=ASKED | {"format": "mp4", "fps": 5}))
+    film = filming.get(f"/animations/{state['jobID']}/result")
+    assert film.headers["content-type"] == "video/mp4"
+    with av.open(io.BytesIO(film.content)) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 3
+
+
+def test_none_where_the_settings_allow_none(serve_with):
+    client = serve_with(fake_workers.filming, max_animation_frames=0)
+    check_problem(client.post(ADDRESS, json=ASKED), 422, "invalid_parameter", "step")
+
+
+def test_a_token_is_asked_for(serve_with):
+    client = serve_with(fake_workers.filming, api_token="a secret token")
+    check_problem(client.post(ADDRESS, json=ASKED), 401, "unauthorized", None)
+    client.headers["Authorization"] = "Bearer a secret token"
+    state = ended(client, client.post(ADDRESS, json=ASKED))
+    del client.headers["Authorization"]
+    for path in ("", "/result"):
+        check_problem(client.get(f"/animations/{state['jobID']}{path}"), 401, "unauthorized", None)
+    check_problem(client.delete(f"/animations/{state['jobID']}"), 401, "unauthorized", None)
+
+
+def test_pages_of_other_origins_read_where_it_is_and_may_dismiss_it(filming: Client):
+    page = {"Origin": "https://map.example"}
+    answer = filming.post(ADDRESS, json=ASKED, headers=page)
+    exposed = answer.headers["access-control-expose-headers"]
+    assert {"Location", "Retry-After", "Content-Range"} <= {each.strip() for each in exposed.split(",")}
+    asked = filming.options(answer.headers["location"], headers=page | {"Access-Control-Request-Method": "DELETE"})
+    assert asked.status_code == 200 and "DELETE" in asked.headers["access-control-allow-methods"]
+
+
+def test_metrics_count_them(filming: Client):
+    ended(filming, filming.post(ADDRESS, json=ASKED))
+    text = filming.get("/metrics").text
+    assert 'skugga_animations{status="successful"} 1.0' in text
+    assert 'skugga_animations_ended_total{status="successful"} 1.0' in text
+    assert f'skugga_cache_bytes{{cache="films"}} {float(filming.service.animations.kept_bytes)}' in text
+    assert 'route="/animations/{animation}"' in text
+
+
+@pytest.fixture(scope="module")
+def with_view(folder: Path) -> Iterator[tuple[Client, Path]]:
+    """A real service, and the level that it serves, which has a perspective view."""
+    view = {"kind": "perspective", "eye": EYE, "target": TARGET, "size": [96, 64]}
+    level = write_level(folder, "viewed_film", views={"eye": view, "map": {"kind": "map"}})
+    with running(create_app(Settings(workers=1), [level, write_level(folder, "site_film", ENGINEERING)])) as client:
+        yield client, level
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"view": "eye", "size": None, "style": "swiss", "algorithm": "shadow_map"},
+        {"view": "map"},
+        {"path": {"keys": KEYS, "size": [64, 48]}, "size": None, "to": "2024-06-21T16:00:02+02:00", "step": "1s"},
+        {"path": {"keys": KEYS}, "from": None, "to": None, "step": "1s", "azimuth": 100, "altitude": 30},
+    ],
+    ids=["view", "map", "path", "path under a sun that rests"],
+)  # fmt: skip
+def test_a_film_is_that_of_the_command_line_and_its_frames_are_stills(
+    with_view, tmp_path: Path, asked: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+):
+    """To the bit: WebP loses nothing."""
+    client, level = with_view
+    body = {key: value for key, value in (ASKED | asked).items() if value is not None}
+    state = ended(client, client.post("/levels/viewed_film/animations", json=body))
+    assert state["status"] == "successful", state["message"]
+    found = pictures_of(client.get(f"/animations/{state['jobID']}/result").content)
+    assert len(found) == 3 and not np.array_equal(found[0], found[2])
+    options = {
+        f"--{key}": str(body[key])
+        for key in ("from", "to", "step", "view", "style", "algorithm", "azimuth", "altitude")
+        if key in body
+    }
+    if "path" in body:
+        camera = tmp_path / "camera.yaml"
+        camera.write_text(json.dumps(body["path"]), encoding="utf-8")
+        options["--path"] = str(camera)
+    if "size" in body:
+        options["--size"] = "x".join(map(str, body["size"]))
+    output = tmp_path / "film.webp"
+    arguments = [each for pair in options.items() for each in pair]
+    monkeypatch.setattr(sys, "argv", ["skugga", "render", str(level), *arguments, "-o", str(output)])
+    with pytest.raises(SystemExit) as command:
+        cli.main()
+    assert command.value.code == 0
+    expected = pictures_of(output.read_bytes())
+    assert all(np.array_equal(*pair) for pair in zip(found, expected, strict=True))
+    if "path" not in body:
+        for number, picture in enumerate(found):
+            query = {
+                "view": body["view"],
+                "time": f"2024-06-21T{16 + number}:00:00+02:00",
+                "size": "x".join(map(str, body.get("size", (96, 64)))),
+            }
+            query |= {key: body[key] for key in ("style", "algorithm") if key in body}
+            still = client.get("/levels/viewed_film/snapshot.png", params=query)
+            assert still.status_code == 200, still.text
+            assert np.array_equal(picture, np.asarray(Image.open(io.BytesIO(still.content)).convert("RGB"))), number
+
+
+@pytest.mark.parametrize(
+    ("level", "asked", "status", "parameter", "said"),
+    [
+        ("viewed_film", {"path": {"keys": [KEYS[0], KEYS[1] | {"eye": [0, 0, 100]}]}}, 422, "keys.1.eye", "on the terrain's data"),
+        ("site_film", {}, 422, "time", "azimuth"),
+        ("viewed_film", {"view": "eye", "algorithm": "planar"}, 422, None, ""),
+    ],
+)
+def test_what_the_ground_says_is_said_at_once(with_view, level: str, asked: dict[str, Any], status: int, parameter: str, said: str):
+    client, _ = with_view
+    answer = client.post(f"/levels/{level}/animations", json=ASKED | asked)
+    assert answer.status_code == status, answer.text
+    problem = answer.json()
+    if parameter is not None:
+        assert problem["parameter"] == parameter
+    assert said in problem["detail"]
