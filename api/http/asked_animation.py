@@ -31,12 +31,13 @@ FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
 Text = Annotated[str, Field(max_length=MOST_TEXT)]
 
 
-_FROM = Field(
+_WHEN = Field(
     default=None, examples=["2024-10-21T08:00:00-04:00"],
     description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a reading of the level's clock, as 0s: "
     "what has a motion moves, and the sun rests. Default: as the path has it.",
 )  # fmt: skip
-_Named: Any = create_model("_Named", __base__=Model, **{"from": (Text | None, _FROM)})  # a word that no class can have a field of
+_FROM: dict[str, Any] = {"from": (Text | None, _WHEN)}  # a word that no field of a class can have
+_Named: Any = create_model("_Named", __base__=Model, **_FROM)
 
 
 class _Asked(_Named):
