@@ -112,6 +112,18 @@ def order_of(asked: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
     )  # fmt: skip
 
 
+def in_body(error: InputError, order: FilmOrder) -> InputError:
+    """What is wrong with a film, by its key of the body: the engine names what a film has, a camera's file and the frame."""
+    name, colon, of_frame = error.name.partition(": ")
+    if name.startswith("keys"):
+        return type(error)(f"path.{error.name}", error.value, error.allowed)
+    if name.startswith("path, "):
+        return type(error)("path", Fault(f"{name.removeprefix('path, ')}{colon}{of_frame}: {error.value}"), error.allowed)
+    if name == "time" and order.span.start is not None:
+        return type(error)("from", error.value, error.allowed)
+    return error
+
+
 def _check_positions(path: CameraPathSpec) -> None:
     for number, key in enumerate(path.keys):
         for name, position in (("eye", key.eye), ("target", key.target)):

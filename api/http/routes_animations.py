@@ -9,11 +9,12 @@ from fastapi import APIRouter, Body, Depends, Path, Request, Response
 from api.animations.animation import Animation
 from api.http.animation_states import FILM_MEDIA, AnimationState, film_answer, state_answer, state_of
 from api.http.answers import base_url
-from api.http.asked_animation import AskedAnimation, order_of
+from api.http.asked_animation import AskedAnimation, in_body, order_of
 from api.http.documented import WORK_ERRORS, Answers, LevelPath, file_docs, problem_docs
 from api.http.parameters import allow_only
 from api.http.service import Service, TheService
 from api.workers.jobs import FilmChecked, FilmCheckJob
+from terrain.errors import InputError
 
 router = APIRouter(tags=["animations"])
 
@@ -64,7 +65,10 @@ async def ask_for_animation(
     if animation is None:
         service.animations.check_room()
         check = FilmCheckJob(**{name: getattr(order, name) for name in FilmCheckJob.model_fields})
-        checked = await service.done(request, check)
+        try:
+            checked = await service.done(request, check)
+        except InputError as error:
+            raise in_body(error, order) from None
         assert isinstance(checked, FilmChecked)
         animation = service.animations.ask(order, service.frame_s(order, checked))
     return _told(request, service, animation, 200 if animation.ended else 202)

@@ -33,6 +33,9 @@ ASKED: dict[str, Any] = {"from": "2024-06-21T16:00:00+02:00", "to": "2024-06-21T
 """Three frames."""
 
 EYE, TARGET = [8.43, 47.5, 300.0], [8.45, 47.51, 0.0]
+UNDER = [{"at": at, "eye": [lon, 47.5, 2.0], "target": TARGET} for at, lon in (("0s", 8.42), ("2h", 8.45))]
+"""From one valley to the next, through the ridge."""
+
 KEYS = [{"at": "0s", "eye": EYE, "target": TARGET}, {"at": "2s", "eye": [8.431, 47.501, 400.0], "target": TARGET}]
 
 
@@ -494,8 +497,15 @@ def test_a_film_is_that_of_the_command_line_and_its_frames_are_stills(
 @pytest.mark.parametrize(
     ("level", "asked", "status", "parameter", "said"),
     [
-        ("viewed_film", {"path": {"keys": [KEYS[0], KEYS[1] | {"eye": [0, 0, 100]}]}}, 422, "keys.1.eye", "on the terrain's data"),
-        ("site_film", {}, 422, "time", "azimuth"),
+        (
+            "viewed_film",
+            {"path": {"keys": [KEYS[0], KEYS[1] | {"eye": [0, 0, 100]}]}},
+            422,
+            "path.keys.1.eye",
+            "on the terrain's data",
+        ),
+        ("viewed_film", {"path": {"keys": UNDER}, "step": "1h"}, 422, "path", "frame 2 (2024-06-21T17:00:00+02:00): eye"),
+        ("site_film", {}, 422, "from", "azimuth"),
         ("viewed_film", {"view": "eye", "algorithm": "planar"}, 422, None, ""),
     ],
 )
