@@ -192,6 +192,12 @@ def test_what_is_not_there_is_not_found(filming: Client):
     assert filming.put("/animations/x").headers["allow"] == "GET, HEAD, DELETE"
 
 
+def test_clients_are_told_to_ask_long_before_it_is_given_up(gated):
+    client = gated(animation_abandoned_s=60.0).client
+    answer = client.post(ADDRESS, json=ASKED | {"step": "1m"})
+    assert (answer.json()["seconds_left"], answer.headers["retry-after"]) == (181.5, "20")
+
+
 def test_what_nobody_asks_about_is_not_drawn(gated):
     service = gated(animation_abandoned_s=0.3)
     client, animations = service.client, service.client.service.animations
