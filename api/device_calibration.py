@@ -49,6 +49,7 @@ def format_calibration(profile: DeviceProfile, path: Path) -> str:
         lines.append(f"Residuals of the fit, relative to the measured times: {'; '.join(fits)}.")
     lines += [
         f"Kept in {path}.",
-        "The policy predict uses it from now on, on this device and driver only. Running services take it up within seconds.",
+        "The policy predict uses it from now on, for devices of this name and driver only: equal ones share it. Running services "
+        "take it up within seconds.",
     ]
     return "\n".join(textwrap.fill(line, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for line in lines)

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, SecretStr, ValidationError, field_validator
+from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from terrain.errors import Fault, InputError
+from terrain.gl.egl_devices import AUTO, read_setting
 
 MAX_DEFAULT_WORKERS = 4
 """Render processes that are started unasked at most: with a software rasteriser each takes about 1.5 GB."""
@@ -122,11 +124,25 @@ class Settings(BaseSettings):
     expect_renderer: str | None = Field(
         default=None, description="Text that the OpenGL renderer's name has to contain; else no render process starts."
     )
+    egl_device: str = Field(
+        default=AUTO,
+        description="Device to draw with, for all commands: `auto`, `software`, or numbers of devices (`0`, `0,1`), with which "
+        "render processes take turns; `skugga doctor` lists them.",
+    )
 
     @field_validator("cors_origins", "data_roots", mode="before")
     @classmethod
     def _split(cls, value: Any) -> Any:
         return tuple(part.strip() for part in value.split(",") if part.strip()) if isinstance(value, str) else value
+
+    @field_validator("egl_device")
+    @classmethod
+    def _read_as_the_processes_do_that_draw(cls, value: str) -> str:
+        try:
+            read_setting(value)
+        except InputError as error:
+            raise PydanticCustomError("egl_device", "{allowed}", {"allowed": error.allowed}) from None
+        return value
 
 
 _SECRETS = {"api_token"}

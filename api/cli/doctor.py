@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 
-from terrain.errors import SkuggaError
+from terrain.errors import NoOpenGLError, SkuggaError
 
 PACKAGES = ("moderngl", "PyOpenGL", "numpy", "numba", "rasterio", "pyproj", "pvlib", "fastapi", "uvicorn", "pydantic")
 
@@ -28,6 +28,7 @@ def examine() -> list[Finding]:
         Finding("Python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.machine()}"),
         *map(_package, PACKAGES),
         _opengl(),
+        *_egl_devices(),
         _calibration(),
         _drawing(),
         _compiled_loops(),
@@ -47,9 +48,35 @@ def _opengl() -> Finding:
 
     try:
         gl = device()
-    except SkuggaError as error:
+    except NoOpenGLError as error:
         return Finding("OpenGL", False, f"{error}. On Debian: apt-get install libegl1 libgl1 libgl1-mesa-dri")
+    except SkuggaError as error:
+        return Finding("OpenGL", False, str(error))
     return Finding("OpenGL", True, f"{gl.renderer}, {gl.version}, textures up to {gl.max_size}")
+
+
+def _egl_devices() -> list[Finding]:
+    """Each device that EGL lists, asked what it draws with. One that draws nothing is no fault while another one does."""
+    from terrain.gl.device import device
+    from terrain.gl.egl_devices import EGL_DEVICE, egl_devices, probed
+
+    try:
+        devices = egl_devices()
+    except SkuggaError:
+        return []
+    try:
+        used = device().egl_device.index
+    except SkuggaError:
+        used = None
+    found = []
+    for each in devices:
+        answer = probed(each.index)
+        words = [f"no OpenGL 4.3 context ({answer.fault})" if answer.fault else f"{answer.renderer}, {answer.version}"]
+        words += ["in software"] * each.software + [each.name] * bool(each.name) + ["drawn with"] * (each.index == used)
+        found.append(Finding(f"EGL device {each.index}", True, ", ".join(words)))
+    if len(devices) > 1:
+        found.append(Finding("several devices", True, f"{EGL_DEVICE} says which are drawn with"))
+    return found
 
 
 def _calibration() -> Finding:
@@ -62,7 +89,11 @@ def _calibration() -> Finding:
     except SkuggaError:
         return Finding("calibration", True, "no OpenGL device to calibrate")
     profile = load_profile(gl.renderer, gl.version)
-    text = missing_profile_reason(gl.renderer, gl.version) if profile is None else f"measured on {profile.measured:%Y-%m-%d}"
+    text = (
+        missing_profile_reason(gl.renderer, gl.version)
+        if profile is None
+        else (f"of {profile.renderer}, {profile.version}, measured on {profile.measured:%Y-%m-%d}")
+    )
     return Finding("calibration", True, text or "")
 
 

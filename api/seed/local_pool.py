@@ -44,7 +44,7 @@ class LocalPool:
         self._environment, self._start_limit_s = threads_of_one(max(cores() // workers, 1)), start_limit_s
         self._fruitless = 0
         self._run: tuple[str, str] | None = None
-        self._processes = [self._started() for _ in range(workers)]
+        self._processes = [self._started(number) for number in range(workers)]
 
     def begin(self, spec: RunSpec, shards: str) -> LocalPool:
         """Let them draw for a run; this pool."""
@@ -94,8 +94,8 @@ class LocalPool:
         """Its processes' ids."""
         return [process.pid for process in self._processes]
 
-    def _started(self) -> RenderProcess:
-        return RenderProcess(self._environment, self._start_limit_s)
+    def _started(self, number: int) -> RenderProcess:
+        return RenderProcess(self._environment, self._start_limit_s, number)
 
     def _replaced(self, process: RenderProcess, why: str) -> list[NotDrawn]:
         lost = process.task
@@ -105,7 +105,8 @@ class LocalPool:
             raise GraphicsError(
                 f"{self._fruitless} render processes in a row ended, or gave no answer, before they had drawn anything"
             )
-        another = self._processes[self._processes.index(process)] = self._started()
+        number = self._processes.index(process)
+        another = self._processes[number] = self._started(number)
         assert self._run is not None
         another.begin(*self._run)
         return [] if lost is None else [NotDrawn(lost.id, why, "died")]

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from api.seed.messages import Begin, Begun, Drawn, NotBegun, NotDrawn, Task
 from api.seed.storage import store_at
 from terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
+from terrain.gl.egl_devices import take_turn
 from terrain.level.gdal_guard import forbid_code
 
 if TYPE_CHECKING:
@@ -43,14 +44,15 @@ log = logging.getLogger("skugga.worker")
 class RenderProcess:
     """A child that draws tasks, one at a time. It warms up, and waits to ``begin`` a run. One thread asks it, and ends it.
 
-    What it is told it has to answer within a time, ``start_limit_s`` or that of a task: then it counts as hung.
+    What it is told it has to answer within a time, ``start_limit_s`` or that of a task: then it counts as hung. ``number`` is its
+    own among those beside it.
     """
 
-    def __init__(self, environment: Mapping[str, str], start_limit_s: float = START_LIMIT_S) -> None:
+    def __init__(self, environment: Mapping[str, str], start_limit_s: float = START_LIMIT_S, number: int = 0) -> None:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", f"from api.seed.render_process import draw_tasks; draw_tasks({theirs.fileno()})"],
+                [sys.executable, "-c", f"from api.seed.render_process import draw_tasks; draw_tasks({theirs.fileno()}, {number})"],
                 pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, env={**os.environ, **environment},
             )  # fmt: skip
         self.connection = Connection(ours.detach())
@@ -122,10 +124,11 @@ def threads_of_one(threads: int) -> dict[str, str]:
     return {"LP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
 
 
-def draw_tasks(descriptor: int) -> None:
-    """What a child runs."""
+def draw_tasks(descriptor: int, number: int = 0) -> None:
+    """What a child runs; of several OpenGL devices it takes that whose turn its number is."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the one that started it
     forbid_code()
+    take_turn(number)
     connection = Connection(descriptor)
     from api.seed.drawing import Drawer  # what draws: here alone, and while nobody waits yet
     from api.seed.run_spec import RunSpec

@@ -290,11 +290,14 @@ class Preparing:
 
 @dataclass(frozen=True)
 class Ready:
-    """A render process has warmed up: what it draws with, by OpenGL's names, and the calibration that its plans go by."""
+    """A render process has warmed up: what it draws with, by OpenGL's names, the calibration that its plans go by, and which of
+    EGL's devices it has.
+    """
 
     renderer: str
     device: DeviceProfile | None = None
     version: str = ""
+    egl_device: str = ""
 
 
 @dataclass(frozen=True, eq=False)

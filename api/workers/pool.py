@@ -185,7 +185,7 @@ class Pool:
     def open(self) -> None:
         """Start the processes; returns at once."""
         self.idle.open()
-        self._slots = [asyncio.create_task(self._slot(first=number == 0)) for number in range(self._settings.workers)]
+        self._slots = [asyncio.create_task(self._slot(number)) for number in range(self._settings.workers)]
 
     async def close(self) -> None:
         """End the processes and fail what is on its way."""
@@ -282,27 +282,28 @@ class Pool:
         waited = f"The service is busy: this picture's turn did not come within {self._settings.queue_timeout_s:g} s."
         self._land(flight, LaterError(waited, _retry_s(self._queue.drained_s())))
 
-    async def _slot(self, first: bool) -> None:
+    async def _slot(self, number: int) -> None:
         """Keep one process running, whatever happens to it. The first to start compiles what the others then find compiled."""
-        if not first:
+        if number:
             await self._settled.wait()
         failures = 0
         while True:
             if failures > 1:
                 await asyncio.sleep(min(FIRST_PAUSE_S * 2 ** (failures - 2), LONGEST_PAUSE_S))
             try:
-                healthy = await self._one_process()
+                healthy = await self._one_process(number)
             except Exception as error:  # out of descriptors, threads or memory, or a bug: the slot outlives all of them
                 log.error("a render process's place failed, and starts another: %s: %s", type(error).__name__, error)
                 self._could_not_start(GraphicsError(f"a render process cannot be started: {error}"))
                 healthy = False
             failures = 0 if healthy else failures + 1
 
-    async def _one_process(self) -> bool:
+    async def _one_process(self, number: int) -> bool:
         """Whether a process was started, and ended in good order or at least after having taken a job."""
         served = await asyncio.get_running_loop().run_in_executor(self._threads, self._served)
         # OpenGL that was there is waited for: a service does not turn into one that draws less.
-        config = replace(self._config, served=served, needs_opengl=self.renderer not in (None, NO_OPENGL), basis=self.basis)
+        needs_opengl = self.renderer not in (None, NO_OPENGL)
+        config = replace(self._config, served=served, needs_opengl=needs_opengl, basis=self.basis, number=number)
         worker = WorkerProcess(self._target, config, self._threads, self._news.set)
         try:
             return await self._start_and_serve(worker)
@@ -327,7 +328,8 @@ class Pool:
         self._start_error = None
         self.tally.started += 1
         self.pids.add(worker.pid or 0)
-        log.info("render process %s ready after %.1f s: %s", worker.pid, took, self.renderer)
+        drawn_with = f"{self.renderer}, {ready.egl_device}" if ready.egl_device else self.renderer
+        log.info("render process %s ready after %.1f s: %s", worker.pid, took, drawn_with)
         self.calibrating.begin(ready.renderer, ready.version)
         self.probing.begin(ready.renderer, ready.version)
         return await self._serve(worker)

@@ -72,6 +72,7 @@ from terrain.facts.descriptor import Descriptor
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView
 from terrain.gl import device as gl
+from terrain.gl.egl_devices import take_turn
 from terrain.level.level import SUN, Shadows, load_level
 from terrain.scene import Scene, build_scene
 
@@ -103,7 +104,8 @@ log = logging.getLogger("skugga.worker")
 class WorkerConfig:
     """What a render process is told at its start. ``gl_threads`` are the threads of a software rasteriser; it prepares for what is
     ``served``, and refuses pictures that are expected to take more than ``most_ms``. It does not start without OpenGL where it
-    ``needs_opengl``. Without a ``basis`` its plans go by the calibration in the user's cache, until it is told another one.
+    ``needs_opengl``. Without a ``basis`` its plans go by the calibration in the user's cache, until it is told another one. Of
+    several OpenGL devices it takes that whose turn its ``number`` is.
     """
 
     gl_threads: int
@@ -112,6 +114,7 @@ class WorkerConfig:
     served: tuple[ServedPictures, ...] = ()
     most_ms: float | None = None
     basis: PlanBasis | None = None
+    number: int = 0
 
 
 class SceneCache:
@@ -343,6 +346,7 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
         return
     stand_back()
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
+    take_turn(config.number)
     from api.workers.preparation import prepare
     from api.workers.warm_up import read_the_suns_library, warm_up
 
@@ -357,7 +361,7 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
             renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
         state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.most_ms)
         prepare(config.served, state, say)
-        pipe.send(Ready(state.renderer, state.device, gl.renderer_and_version()[1]))
+        pipe.send(Ready(state.renderer, state.device, gl.renderer_and_version()[1], gl.egl_device_name()))
         if not pipe.poll(IDLE_S):
             read_the_suns_library()
         while True:

@@ -13,7 +13,6 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 
@@ -24,6 +23,7 @@ import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when i
 from terrain.cache import KIB, MIB, Cache, Missing  # noqa: E402
 from terrain.errors import GraphicsError, NoOpenGLError  # noqa: E402
 from terrain.gl.depth_targets import DepthTargets  # noqa: E402
+from terrain.gl.egl_devices import LIBEGL, open_context  # noqa: E402
 from terrain.gl.programs import linked, note_draw, with_constants  # noqa: E402
 from terrain.gl.stencil import Stencil  # noqa: E402
 
@@ -43,21 +43,15 @@ class Device:
     """The process's OpenGL context and what lives as long as it."""
 
     def __init__(self) -> None:
-        try:
-            settings: dict[str, Any] = {"backend": "egl", "libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
-            self.ctx = moderngl.create_context(standalone=True, require=430, **settings)
-        except Exception as error:  # glcontext raises bare exceptions of several kinds
-            raise NoOpenGLError(
-                f"no OpenGL 4.3 context through EGL ({error}): only bare ground under the sun is drawn without it; "
-                "'skugga doctor' says what is missing"
-            ) from None
+        self.ctx, self.egl_device = open_context()
         self.ctx.gc_mode = "auto"  # one thread owns the context, so the collector may free its objects
-        self._egl = ctypes.CDLL("libEGL.so.1")
+        self._egl = ctypes.CDLL(LIBEGL)
         self._egl.eglGetCurrentContext.restype = ctypes.c_void_p
         self._context, self._thread = self._egl.eglGetCurrentContext(), threading.get_ident()
         info = self.ctx.info
         self.renderer, self.version = info["GL_RENDERER"], info["GL_VERSION"]
         self.max_size = int(info["GL_MAX_TEXTURE_SIZE"])
+        _ = self.ctx.error  # moderngl has asked for limits of which a driver may not know all
         self._programs: Cache[moderngl.Program] = Cache(
             "terrain.gl.device.programs", "process", 64 * MIB, lambda program: PROGRAM_BYTES, moderngl.Program.release
         )
@@ -207,6 +201,7 @@ class Device:
         self.require_current()
         target.use()
         target.clear(0.0, 0.0, 0.0, 0.0, depth=0.0)
+        GL.glClearBufferuiv(GL.GL_COLOR, 0, (0, 0, 0, 0))  # what a plain clear makes of integers is left to the driver
         self.ctx.enable_only(moderngl.DEPTH_TEST)
         self.ctx.depth_func = ">"
         GL.glClipControl(_LOWER_LEFT, _ZERO_TO_ONE)
@@ -376,7 +371,8 @@ _missing: NoOpenGLError | None = None
 def device() -> Device:
     """The process's device; made by the first call, in the thread that will own it.
 
-    Raises ``NoOpenGLError``: a process that found none once looks for none again, so that all its pictures are of one kind.
+    Raises ``NoOpenGLError``: a process that found none once looks for none again, so that all its pictures are of one kind. Raises
+    ``InputError`` and ``GraphicsError`` for a device that cannot be had (``terrain.gl.egl_devices``).
     """
     global _device, _missing
     if _missing is not None:
@@ -396,6 +392,11 @@ def renderer_and_version() -> tuple[str, str]:
         return device().renderer, device().version
     except NoOpenGLError:
         return NO_OPENGL, ""
+
+
+def egl_device_name() -> str:
+    """Which of EGL's devices this process has, for a person to read; nothing where it has none."""
+    return "" if _device is None else f"EGL device {_device.egl_device}"
 
 
 def is_open() -> bool:

@@ -1,0 +1,238 @@
+"""The devices that EGL lists, and which of them a process draws with: the setting ``SKUGGA_EGL_DEVICE``.
+
+EGL lists graphics cards first and Mesa's software rasteriser last. What a device is called is known once it has made a context, and
+a process makes one: others are asked in processes of their own (``probed``), which a driver that crashes or hangs harms as little.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from terrain.errors import Fault, GraphicsError, InputError, NoOpenGLError
+
+if TYPE_CHECKING:
+    import moderngl
+
+EGL_DEVICE = "SKUGGA_EGL_DEVICE"
+AUTO, SOFTWARE = "auto", "software"
+EGL_DEVICE_VALUES = "auto, software, or numbers of devices, separated by commas"
+
+LIBEGL, LIBGL = "libEGL.so.1", "libGL.so.1"
+"""Named, since finding them needs ldconfig or a compiler, which slim machines lack."""
+
+OPENGL_VERSION = 430
+
+PROBE_LIMIT_S = 60.0
+"""How long it is waited for a device that is asked what it is."""
+
+_EXTENSIONS, _DRM_DEVICE_FILE, _RENDERER = 0x3055, 0x3233, 0x335F
+_IGNORED = "GLCONTEXT_DEVICE_INDEX"
+
+log = logging.getLogger("skugga")
+
+
+@dataclass(frozen=True)
+class EglDevice:
+    """A device as EGL lists it: its number, whether it is Mesa's software rasteriser, and how its driver names it, if at all."""
+
+    index: int
+    software: bool
+    name: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.index} ({self.name or ('software rasteriser' if self.software else 'without a name')})"
+
+
+@dataclass(frozen=True)
+class ProbedDevice:
+    """What a device draws with, by OpenGL's names; or the ``fault`` for which it makes no context."""
+
+    renderer: str = ""
+    version: str = ""
+    fault: str = ""
+
+
+Probe = Callable[[int], ProbedDevice]
+
+_turn = 0
+
+
+def take_turn(number: int) -> None:
+    """Let this process, before it has made its device, be the one with a number of several that share the devices."""
+    global _turn
+    _turn = number
+
+
+def egl_devices() -> tuple[EglDevice, ...]:
+    """What EGL lists, in its order. Raises ``NoOpenGLError`` where there is no EGL, or one that lists no devices."""
+    try:
+        egl = ctypes.CDLL(LIBEGL)
+    except OSError as error:
+        raise no_context(str(error)) from None
+    egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = ctypes.c_void_p, [ctypes.c_char_p]
+    query_devices = _function(egl, b"eglQueryDevicesEXT", ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+    query_string = _function(egl, b"eglQueryDeviceStringEXT", ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int)
+    count = ctypes.c_int()
+    if query_devices is None or not query_devices(0, None, ctypes.byref(count)):
+        raise no_context("this EGL cannot list devices: it is without EGL_EXT_device_enumeration")
+    handles = (ctypes.c_void_p * max(count.value, 1))()
+    if not query_devices(count, handles, ctypes.byref(count)) or not count.value:
+        raise no_context("it finds no driver, and so no device")
+
+    def text(handle: int | None, what: int) -> str:
+        found = None if query_string is None else query_string(handle, what)
+        return "" if found is None else found.decode(errors="replace")
+
+    devices = []
+    for index, handle in enumerate(handles[: count.value]):
+        extensions = text(handle, _EXTENSIONS).split()
+        name = text(handle, _RENDERER) if "EGL_EXT_device_query_name" in extensions else ""
+        name = name or (text(handle, _DRM_DEVICE_FILE) if "EGL_EXT_device_drm" in extensions else "")
+        devices.append(EglDevice(index, "EGL_MESA_device_software" in extensions, name))
+    return tuple(devices)
+
+
+def _function(egl: ctypes.CDLL, name: bytes, result: Any, *arguments: Any) -> Callable[..., Any] | None:
+    address = egl.eglGetProcAddress(name)
+    return ctypes.CFUNCTYPE(result, *arguments)(address) if address else None
+
+
+def no_context(why: str) -> NoOpenGLError:
+    """The one sentence for a machine without OpenGL."""
+    return NoOpenGLError(
+        f"no OpenGL 4.3 context through EGL ({why}): only bare ground under the sun is drawn without it; "
+        "'skugga doctor' says what is missing"
+    )
+
+
+def read_setting(value: str) -> str | tuple[int, ...]:
+    """``auto``, ``software`` or the numbers of devices. Raises ``InputError``."""
+    text = value.strip().lower() or AUTO
+    if text in (AUTO, SOFTWARE):
+        return text
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isascii() and part.isdigit() for part in parts):
+        raise InputError(EGL_DEVICE, value, EGL_DEVICE_VALUES)
+    return tuple(map(int, parts))
+
+
+def devices_to_try(value: str, devices: Sequence[EglDevice], turn: int, probe: Probe) -> list[EglDevice]:
+    """The devices that a process with a number takes, by the setting: the first that makes a context. One, where it is named.
+
+    ``auto`` prefers graphics cards, and lets processes take turns with those that draw with the same as the first that draws at
+    all: pictures of different drivers differ, and a service has one calibration. Numbers take turns as they stand.
+
+    Raises ``InputError`` where there is no such device, ``GraphicsError`` where devices that are named together are of two kinds.
+    """
+    asked = read_setting(value)
+    if asked == AUTO:
+        cards = [device for device in devices if not device.software]
+        return [*_in_turn(cards, turn, probe), *(device for device in devices if device.software)]
+    if asked == SOFTWARE:
+        found = [device for device in devices if device.software]
+        if not found:
+            raise _no_such_device(value, devices)
+        return found
+    assert not isinstance(asked, str)
+    if max(asked) >= len(devices):
+        raise _no_such_device(value, devices)
+    taken = asked[turn % len(asked)]
+    if taken != asked[0]:
+        first, own = probe(asked[0]), probe(taken)
+        if not first.fault and not own.fault and first != own:
+            raise GraphicsError(
+                f"{EGL_DEVICE}: '{value}' names devices of two kinds, which draw different pictures: {asked[0]} is "
+                f"{first.renderer}, {first.version}; {taken} is {own.renderer}, {own.version}"
+            )
+    return [devices[taken]]
+
+
+def _in_turn(cards: list[EglDevice], turn: int, probe: Probe) -> list[EglDevice]:
+    """Graphics cards in the order in which a process with a number tries them."""
+    if not turn or len(cards) < 2:
+        return cards
+    kinds = {card: probe(card.index) for card in cards}
+    drawing = [card for card in cards if not kinds[card].fault]
+    equal = [card for card in drawing if kinds[card] == kinds[drawing[0]]]
+    return equal[turn % len(equal) :] + equal[: turn % len(equal)] if equal else []
+
+
+def _no_such_device(value: str, devices: Sequence[EglDevice]) -> InputError:
+    there = ", ".join(map(str, devices))
+    return InputError(EGL_DEVICE, Fault(f"'{value}' names a device that is not there"), f"{EGL_DEVICE_VALUES}; there are {there}")
+
+
+def open_context() -> tuple[moderngl.Context, EglDevice]:
+    """A context, current in this thread, and the device that the setting gives it.
+
+    Raises ``NoOpenGLError`` where no device makes one, ``GraphicsError`` where one does not that is named, ``InputError`` for a
+    setting that is wrong.
+    """
+    value = os.environ.get(EGL_DEVICE, AUTO)
+    asked, devices = read_setting(value), egl_devices()
+    faults = []
+    for device in devices_to_try(value, devices, _turn, probed):
+        try:
+            context = context_of(device.index)
+        except Exception as error:  # glcontext raises bare exceptions of several kinds
+            faults.append(f"device {device}: {' '.join(str(error).split())}")
+            continue
+        if faults:
+            log.warning("EGL %s; device %s is taken instead", "; ".join(faults), device)
+        return context, device
+    if asked != AUTO:
+        raise GraphicsError(f"{EGL_DEVICE}: '{value}' gives no OpenGL 4.3 context: {'; '.join(faults)}")
+    raise no_context("; ".join(faults))
+
+
+def context_of(index: int) -> moderngl.Context:
+    """A context of one device, current in this thread. Raises what glcontext raises, which is of several kinds."""
+    import moderngl
+
+    settings: dict[str, Any] = {"backend": "egl", "libgl": LIBGL, "libegl": LIBEGL, "device_index": index}
+    with _unset(_IGNORED):  # glcontext lets it go before what it is told, and there is one setting
+        return moderngl.create_context(standalone=True, require=OPENGL_VERSION, **settings)
+
+
+@contextmanager
+def _unset(variable: str) -> Iterator[None]:
+    value = os.environ.pop(variable, None)
+    try:
+        yield
+    finally:
+        if value is not None:
+            os.environ[variable] = value
+
+
+def probed(index: int) -> ProbedDevice:
+    """What a device draws with, asked in a process of its own, which takes a part of a second."""
+    code = f"from terrain.gl.egl_devices import answer_probe; answer_probe({index})"
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", code], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PROBE_LIMIT_S
+        )
+        return ProbedDevice(**json.loads(done.stdout))
+    except subprocess.TimeoutExpired:
+        return ProbedDevice(fault=f"no answer within {PROBE_LIMIT_S:g} s")
+    except (OSError, ValueError, TypeError):
+        return ProbedDevice(fault="its driver ended the process that asked it")
+
+
+def answer_probe(index: int) -> None:
+    """What that process runs: its answer as JSON on standard output."""
+    try:
+        context = context_of(index)
+    except Exception as error:
+        answer = {"fault": " ".join(str(error).split())}
+    else:
+        answer = {"renderer": context.info["GL_RENDERER"], "version": context.info["GL_VERSION"]}
+    print(json.dumps(answer))

@@ -1,0 +1,217 @@
+"""Which of EGL's devices a process draws with."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from terrain.errors import GraphicsError, InputError, NoOpenGLError
+from terrain.gl import egl_devices
+from terrain.gl.egl_devices import (
+    EGL_DEVICE,
+    EglDevice,
+    ProbedDevice,
+    devices_to_try,
+    open_context,
+    probed,
+    read_setting,
+    take_turn,
+)
+from tests.terrain.gl.egl_machines import two_mesas
+
+ROOT = Path(__file__).parents[3]
+
+CARD, EQUAL, OTHER, BROKEN = (
+    ProbedDevice("Card 9", "4.6"),
+    ProbedDevice("Card 9", "4.6"),
+    ProbedDevice("Card 7", "4.6"),
+    ProbedDevice(fault="eglInitialize failed (0x3001)"),
+)
+SOFT = ProbedDevice("llvmpipe", "4.5")
+
+
+def tried(setting: str, kinds: list[ProbedDevice], turn: int = 0) -> list[int]:
+    """The numbers of the devices that are tried on a machine with devices of some kinds."""
+    devices = [EglDevice(index, kind is SOFT) for index, kind in enumerate(kinds)]
+    return [device.index for device in devices_to_try(setting, devices, turn, lambda index: kinds[index])]
+
+
+def unprobed(index: int) -> ProbedDevice:
+    raise AssertionError("no other device is asked: that takes time, and would for every command")
+
+
+@pytest.mark.parametrize(
+    ("text", "meaning"),
+    [("auto", "auto"), ("", "auto"), ("Software ", "software"), ("2", (2,)), ("0, 1,1", (0, 1, 1))],
+)
+def test_settings(text, meaning):
+    assert read_setting(text) == meaning
+
+
+@pytest.mark.parametrize("text", ["gpu", "-1", "0;1", "0,", "1.0", "٣", "auto,0"])
+def test_settings_that_are_none(text):
+    with pytest.raises(InputError) as error:
+        read_setting(text)
+    assert str(error.value) == f"{EGL_DEVICE}: '{text}' is not allowed; allowed: {egl_devices.EGL_DEVICE_VALUES}"
+
+
+@pytest.mark.parametrize(
+    ("setting", "kinds", "expected"),
+    [
+        ("auto", [SOFT], [0]),
+        ("auto", [SOFT, CARD], [1, 0]),
+        ("auto", [CARD, OTHER, SOFT], [0, 1, 2]),
+        ("software", [CARD, SOFT], [1]),
+        ("1", [CARD, OTHER, SOFT], [1]),
+        ("1,0", [CARD, EQUAL, SOFT], [1]),
+    ],
+)
+def test_a_process_alone_prefers_cards_and_asks_no_other_device(setting, kinds, expected):
+    devices = [EglDevice(index, kind is SOFT) for index, kind in enumerate(kinds)]
+    assert [device.index for device in devices_to_try(setting, devices, 0, unprobed)] == expected
+
+
+@pytest.mark.parametrize(
+    ("setting", "kinds", "firsts"),
+    [
+        ("auto", [CARD, EQUAL, SOFT], [0, 1, 0, 1]),
+        ("auto", [CARD, OTHER, EQUAL, SOFT], [0, 2, 0, 2]),
+        ("auto", [OTHER, CARD, EQUAL, SOFT], [0, 0, 0, 0]),
+        ("auto", [BROKEN, CARD, EQUAL, SOFT], [0, 2, 1, 2]),  # the first process finds out by itself, and takes device 1
+        ("auto", [SOFT], [0, 0, 0, 0]),
+        ("0,1", [CARD, EQUAL, SOFT], [0, 1, 0, 1]),
+        ("1,0,1", [CARD, EQUAL, SOFT], [1, 0, 1, 1]),
+        ("0,1", [SOFT, SOFT], [0, 1, 0, 1]),
+        ("software", [CARD, EQUAL, SOFT], [2, 2, 2, 2]),
+    ],
+)
+def test_processes_take_turns_with_devices_of_one_kind(setting, kinds, firsts):
+    assert [tried(setting, kinds, turn)[0] for turn in range(4)] == firsts
+
+
+def test_devices_of_two_kinds_are_refused_where_they_are_named_together():
+    assert tried("0,1", [CARD, OTHER]) == [0]
+    with pytest.raises(GraphicsError, match=f"{EGL_DEVICE}: '0,1' names devices of two kinds.*0 is Card 9, 4.6; 1 is Card 7, 4.6"):
+        tried("0,1", [CARD, OTHER], turn=1)
+
+
+@pytest.mark.parametrize(("setting", "kinds"), [("2", [CARD, SOFT]), ("0,5", [CARD, SOFT]), ("software", [CARD])])
+def test_a_device_that_is_not_there(setting, kinds):
+    with pytest.raises(InputError) as error:
+        tried(setting, kinds)
+    said = str(error.value)
+    assert said.startswith(f"{EGL_DEVICE}: '{setting}' names a device that is not there; allowed: auto, software, or numbers")
+    assert said.endswith(
+        "; there are 0 (without a name), 1 (software rasteriser)" if SOFT in kinds else "there are 0 (without a name)"
+    )
+
+
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch):
+    """``machine(*kinds)``: devices of some kinds; a context of one is its kind."""
+
+    def make(*kinds: ProbedDevice, setting: str = "auto") -> None:
+        def context_of(index: int):
+            if kinds[index].fault:
+                raise ValueError(kinds[index].fault)
+            return kinds[index]
+
+        devices = tuple(EglDevice(index, kind is SOFT) for index, kind in enumerate(kinds))
+        monkeypatch.setattr(egl_devices, "egl_devices", lambda: devices)
+        monkeypatch.setattr(egl_devices, "context_of", context_of)
+        monkeypatch.setattr(egl_devices, "probed", lambda index: kinds[index])
+        monkeypatch.setattr(egl_devices, "_turn", 0)
+        monkeypatch.setenv(EGL_DEVICE, setting)
+
+    return make
+
+
+def test_a_card_that_gives_no_context_is_passed_over_and_told_of(machine, caplog: pytest.LogCaptureFixture):
+    machine(BROKEN, CARD, SOFT)
+    with caplog.at_level(logging.WARNING):
+        context, device = open_context()
+    assert (context, device.index) == (CARD, 1)
+    assert [record.message for record in caplog.records] == [
+        "EGL device 0 (without a name): eglInitialize failed (0x3001); device 1 (without a name) is taken instead"
+    ]
+
+
+def test_one_that_is_named_is_not_passed_over(machine):
+    machine(BROKEN, CARD, setting="0")
+    with pytest.raises(GraphicsError) as error:
+        open_context()
+    assert not isinstance(error.value, NoOpenGLError), "bare ground is not drawn by another way than was asked for"
+    assert f"{EGL_DEVICE}: '0' gives no OpenGL 4.3 context: device 0" in str(error.value)
+
+
+def test_where_none_gives_a_context_there_is_no_opengl(machine):
+    machine(BROKEN, BROKEN)
+    with pytest.raises(NoOpenGLError, match=r"no OpenGL 4.3 context through EGL \(device 0 .*; device 1 .*'skugga doctor' says"):
+        open_context()
+
+
+def test_a_process_takes_its_turn(machine):
+    machine(CARD, EQUAL, SOFT)
+    take_turn(3)
+    assert open_context()[1].index == 1
+
+
+def test_an_egl_that_lists_no_devices(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(egl_devices, "_function", lambda egl, name, *types: None)
+    with pytest.raises(NoOpenGLError, match=r"cannot list devices: it is without EGL_EXT_device_enumeration\): only bare ground"):
+        egl_devices.egl_devices()
+    monkeypatch.setattr(egl_devices, "LIBEGL", "libNone.so.1")
+    with pytest.raises(NoOpenGLError, match="libNone.so.1"):
+        egl_devices.egl_devices()
+
+
+def test_this_machine(gl):
+    devices = egl_devices.egl_devices()
+    assert gl.egl_device in devices
+    assert probed(gl.egl_device.index) == ProbedDevice(gl.renderer, gl.version)
+    assert f"{len(devices)}" in probed(len(devices)).fault
+
+
+@pytest.mark.parametrize(
+    ("script", "fault"), [("exit 9", "ended the process"), ("echo no", "ended the process"), ("exec sleep 60", "no answer within")]
+)
+def test_a_driver_that_crashes_or_hangs_is_no_more_than_a_fault(script, fault, tmp_path, monkeypatch):
+    program = tmp_path / "python"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setattr(egl_devices.sys, "executable", str(program))
+    monkeypatch.setattr(egl_devices, "PROBE_LIMIT_S", 0.5 if "sleep" in script else 60.0)
+    assert fault in probed(0).fault
+
+
+def test_the_second_of_two_devices(gl, tmp_path):
+    """For real: EGL lists two, and the library's own setting says something else."""
+    code = (
+        "import json; from terrain.gl.device import device; from terrain.gl.egl_devices import egl_devices;"
+        "gl = device(); gl.texture([[1.0]]); gl.check('a call');"
+        "print(json.dumps([len(egl_devices()), gl.egl_device.index, gl.renderer]))"
+    )
+    environment = {**os.environ, **two_mesas(tmp_path), EGL_DEVICE: "1", "GLCONTEXT_DEVICE_INDEX": "0"}
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    count, index, renderer = json.loads(done.stdout)
+    assert (count, index, renderer) == (2 * len(egl_devices.egl_devices()), 1, gl.renderer)
+
+
+def test_a_wrong_device_is_one_line_that_ends_a_command(tmp_path):
+    code = "import sys; from api.cli.main import main; sys.argv[0] = 'skugga'; main()"
+    picture = tmp_path / "out.png"
+    for setting in ("7", "gpu"):
+        done = subprocess.run(
+            [sys.executable, "-c", code, "render", "thesis_street", "--size", "20x20", "-o", str(picture)],
+            cwd=ROOT, env={**os.environ, EGL_DEVICE: setting}, capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
+        assert (done.returncode, done.stdout) == (2, "") and done.stderr.count("\n") == 1, done.stderr
+        assert f"skugga: {EGL_DEVICE}: '{setting}' " in done.stderr and not picture.exists()
