@@ -42,6 +42,7 @@ def test_environment_and_arguments(monkeypatch: pytest.MonkeyPatch):
         ("SKUGGA_EMPTY_TILE", "grey"),
         ("SKUGGA_PUBLIC_URL", "a.example"),
         ("SKUGGA_PORT", "-1"),
+        ("SKUGGA_EGL_DEVICE", "1;2"),
     ],
 )
 def test_wrong_environment_is_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str):

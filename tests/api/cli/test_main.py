@@ -224,6 +224,8 @@ def test_doctor_finds_this_machine_able_to_draw(gl, run):
     findings = {finding["subject"]: finding for finding in json.loads(out)}
     assert findings["OpenGL"]["ok"] and gl.renderer in findings["OpenGL"]["detail"]
     assert findings["a shadowed map"]["ok"]
+    used = [subject for subject, finding in findings.items() if finding["detail"].endswith("drawn with")]
+    assert used == [f"EGL device {gl.egl_device.index}"] and gl.renderer in findings[used[0]]["detail"]
     assert status == (0 if all(finding["ok"] for finding in findings.values()) else 1)
 
 

@@ -1,0 +1,67 @@
+"""Render processes take turns with EGL's devices."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import signal
+import subprocess
+import sys
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import pytest
+
+from api.seed import local_pool
+from api.workers.jobs import Ready
+from api.workers.pool import Pool
+from api.workers.render_worker import WorkerConfig
+from tests.api.http.test_serve import ROOT
+from tests.api.workers.test_pool import until, with_pool
+from tests.terrain.gl.egl_machines import two_mesas
+
+SERVE = "import sys; from api.cli.main import main; sys.argv[0] = 'skugga'; main()"
+
+
+def numbered(pipe: Connection, config: WorkerConfig) -> None:
+    """Has the device of its number, and answers nothing."""
+    pipe.send(Ready("card", egl_device=f"EGL device {config.number}"))
+    signal.pause()
+
+
+def test_each_place_has_a_number_which_another_process_there_keeps(caplog: pytest.LogCaptureFixture):
+    def devices() -> list[tuple[str, str]]:
+        return re.findall(r"render process (\d+) ready after .*: card, EGL device (\d+)", caplog.text)
+
+    async def scenario(pool: Pool) -> None:
+        await until(lambda: len(devices()) == 3)
+        assert sorted(number for _, number in devices()) == ["0", "1", "2"]
+        os.kill(int(next(pid for pid, number in devices() if number == "1")), signal.SIGKILL)
+        await until(lambda: len(devices()) == 4)
+        assert devices()[-1][1] == "1"
+
+    with caplog.at_level(logging.INFO, "skugga"):
+        with_pool(scenario, numbered, workers=3)
+
+
+def test_processes_that_draw_ahead_have_numbers_too(monkeypatch: pytest.MonkeyPatch):
+    started: list[tuple] = []
+    monkeypatch.setattr(local_pool, "RenderProcess", lambda *args: started.append(args))
+    local_pool.LocalPool(3)
+    assert [number for _, _, number in started] == [0, 1, 2]
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_service_with_two_devices(hills_level: Path, tmp_path: Path):
+    environment = {**os.environ, **two_mesas(tmp_path), "SKUGGA_EGL_DEVICE": "0,1", "SKUGGA_WORKERS": "2", "SKUGGA_PORT": "0"}
+    command = [sys.executable, "-c", SERVE, "serve", str(hills_level)]
+    with subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        used: list[str] = []
+        for line in process.stderr:
+            used += re.findall(r"ready after .*EGL device (\d+)", line)
+            if len(used) == 2:
+                break
+        process.kill()
+    assert used == ["0", "1"]
