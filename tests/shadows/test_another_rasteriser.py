@@ -1,0 +1,29 @@
+"""The whole path on another rasteriser than goldens are made on: each picture within the tolerance for that."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.golden import RENDERER
+from tests.softpipe import BEYOND_IT, SOFTPIPE
+
+ROOT = Path(__file__).parents[2]
+
+FEW = "thesis_street-main or thesis_room_sun-close-perspective or thesis_rocks_sun-bounds0-hybrid or jacksboro-evening-mask"
+ALL = " and ".join(f"not {name}" for name in BEYOND_IT)
+
+
+@pytest.mark.parametrize(("those", "count"), [(FEW, 6), pytest.param(ALL, 28, marks=pytest.mark.long)], ids=["few", "all"])
+def test_goldens_on_softpipe(gl, those, count):
+    if not gl.renderer.startswith(RENDERER):
+        pytest.skip(f"Mesa's {RENDERER} says that softpipe is there, too; this is {gl.renderer}")
+    command = [sys.executable, "-m", "pytest", "-n", "0", "-p", "tests.softpipe", "tests/shadows/test_snapshots.py", "-k", those]
+    done = subprocess.run(command, cwd=ROOT, env={**os.environ, **SOFTPIPE}, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout
+    assert re.search(rf"= {count} passed(, \d+ deselected)? in", done.stdout), "none is skipped"

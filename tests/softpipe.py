@@ -1,0 +1,56 @@
+"""A second rasteriser: ``pytest -p tests.softpipe`` with ``SOFTPIPE`` in the environment runs tests on Mesa's softpipe.
+
+It is a slow one of Mesa's own, and no kin of llvmpipe. It says of itself that it knows OpenGL 3.3, and has two faults of its own:
+
+* It drops triangles whose fragment shader asks ``gl_PrimitiveID``. Here their vertices are drawn one by one, which number them.
+* Where an offset of depths is asked for it clamps them at a triangle's corners, not in its pixels, so that volumes which go on to
+  infinity lie askew. In maps, where they begin far off, parts of their shadows are missing (``BEYOND_IT``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from terrain.gl.device import Device
+
+SOFTPIPE = {"GALLIUM_DRIVER": "softpipe", "MESA_GL_VERSION_OVERRIDE": "4.5", "MESA_GLSL_VERSION_OVERRIDE": "450"}
+
+BEYOND_IT = ("thesis_water_tower",)
+
+_program, _uploaded = Device.program, Device.uploaded
+_numbered: set[int] = set()
+
+
+def _numbering(self: Device, vertex: str, fragment: str, *args: Any, **kwargs: Any) -> moderngl.Program:
+    asked = "gl_PrimitiveID" in fragment
+    if asked:
+        declared = r"\1flat {} int primitive_number;\n"
+        fragment = re.sub(r"(#version[^\n]*\n)", declared.format("in"), fragment, count=1)
+        fragment = fragment.replace("gl_PrimitiveID", "primitive_number")
+        vertex = re.sub(r"(#version[^\n]*\n)", declared.format("out"), vertex, count=1)
+        vertex = vertex.replace("void main() {", "void main() { primitive_number = gl_VertexID / 3;")
+    program = _program(self, vertex, fragment, *args, **kwargs)
+    if asked:
+        _numbered.add(program.glo)
+    return program
+
+
+@contextmanager
+def _one_by_one(
+    self: Device, program: moderngl.Program, vertices: np.ndarray, indices: np.ndarray, *args: Any, **kwargs: Any
+) -> Iterator[moderngl.VertexArray]:
+    if program.glo in _numbered:
+        vertices, indices = np.asarray(vertices)[np.ravel(indices)], np.arange(np.size(indices), dtype=np.int32)
+    with _uploaded(self, program, vertices, indices, *args, **kwargs) as array:
+        yield array
+
+
+def pytest_configure() -> None:
+    """It is this process's plugin."""
+    Device.program, Device.uploaded = _numbering, _one_by_one  # type: ignore[method-assign]
