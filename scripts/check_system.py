@@ -6,9 +6,6 @@ makes it, since the presence of a library file says little about whether a drive
 
 import importlib
 import sys
-from typing import Any
-
-import moderngl
 
 COMPILED = ("numba", "numpy", "pyproj", "rasterio", "scipy", "PIL.Image")
 
@@ -17,9 +14,9 @@ def main() -> int:
     try:
         for name in COMPILED:
             importlib.import_module(name)
-        # The names are given because finding them needs ldconfig or a compiler, which slim machines lack.
-        settings: dict[str, Any] = {"backend": "egl", "libgl": "libGL.so.1", "libegl": "libEGL.so.1"}
-        context = moderngl.create_context(standalone=True, **settings)
+        from terrain.gl.egl_devices import open_context
+
+        context, _ = open_context()
     except Exception as error:  # whatever is wrong, the caller needs it as one line
         print(f"skugga: {type(error).__name__}: {' '.join(str(error).split())}", file=sys.stderr)
         return 1

@@ -1,11 +1,15 @@
 """The experiments of the texts that Skugga began with, made again: each claim beside what is measured here.
 
     python -m benchmarks.seeds [EXPERIMENT ...] [--json benchmarks/seeds/seeds.json] [--markdown docs/seeds.md] [--write-only]
+        [--without DEVICE]
 
 The texts: J. Sindholt, A comparison of Shadow Algorithms (DTU 2005); a thesis at Chalmers on shadows for the GIS SpatialAce; a
 bachelor's report of Copenhagen on shadow volumes and shadow maps. Without names all experiments run, one after the other; figures
 of those that do not run are taken from the JSON file, which holds all that was measured. `--write-only` measures nothing and writes
 the page from the file. Times are ratios within one run, since milliseconds do not travel from one machine to another.
+
+What is measured is the device that commands draw with (`SKUGGA_EGL_DEVICE`). Figures of other devices stay in the file, and the
+page has all of them beside one another; `--without` takes a device's out of both.
 """
 
 from __future__ import annotations
@@ -27,7 +31,9 @@ from benchmarks.seeds import spatialace as seeds_spatialace
 from benchmarks.seeds import speed as seeds_speed
 from benchmarks.seeds import thin as seeds_thin
 from benchmarks.seeds import tree as seeds_tree
-from benchmarks.seeds.claims import Experiment, Figures, markdown
+from benchmarks.seeds.claims import Experiment
+from benchmarks.seeds.devices import Measured, about_devices, add_figures, read_measured, section_of
+from benchmarks.seeds.pictures import write_pictures
 from benchmarks.seeds.verdicts import SAME, whole_percent
 from terrain.gl.device import device
 
@@ -69,15 +75,21 @@ def main() -> None:
     parser.add_argument("--json", type=Path, default=HERE / "seeds.json", metavar="FILE")
     parser.add_argument("--markdown", type=Path, default=HERE.parents[1] / "docs" / "seeds.md", metavar="FILE")
     parser.add_argument("--write-only", action="store_true")
+    parser.add_argument("--without", metavar="DEVICE", help="OpenGL's name of a device, as the page has it")
     args = parser.parse_args()
     if unknown := set(args.experiments) - set(EXPERIMENTS):
         parser.error(f"no such experiment: {', '.join(sorted(unknown))}; there are {', '.join(EXPERIMENTS)}")
-    measured: dict[str, Figures] = json.loads(args.json.read_text("utf-8")) if args.json.exists() else {}
+    measured = read_measured(args.json)
+    if args.without is not None and measured.pop(args.without, None) is None:
+        parser.error(f"there are no figures of {args.without}; there are of {'; '.join(measured)}")
     for name in [] if args.write_only else args.experiments or EXPERIMENTS:
         start = time.perf_counter()
-        measured[name] = round_figures({**EXPERIMENTS[name].measure(), "device": device().renderer})
+        write_pictures(not measured or device().renderer == next(iter(measured)))
+        add_figures(measured, device(), name, round_figures(EXPERIMENTS[name].measure()))
         args.json.write_text(json.dumps(measured) + "\n", "utf-8")
         print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
+    if args.without is not None:
+        args.json.write_text(json.dumps(measured) + "\n", "utf-8")
     args.markdown.write_text(page(measured), "utf-8")
 
 
@@ -90,12 +102,11 @@ def round_figures(figures: Any) -> Any:
     return float(f"{figures:.6g}") if isinstance(figures, float) else figures
 
 
-def page(measured: dict[str, Figures]) -> str:
-    """The page of all experiments that were measured, in order."""
-    there = {name: experiment for name, experiment in EXPERIMENTS.items() if name in measured}
-    devices = ", ".join(sorted({measured[name]["device"] for name in there}))
-    parts = [INTRODUCTION, f"Device: {devices}.\n"]
-    return "\n\n".join(parts) + "\n" + "\n".join(markdown(each.section(measured[name])) for name, each in there.items())
+def page(measured: Measured) -> str:
+    """The page of all experiments that were measured, in order, with the figures of all devices."""
+    sections = (section_of(name, experiment, measured) for name, experiment in EXPERIMENTS.items())
+    head = "\n\n".join([INTRODUCTION, about_devices(measured)])
+    return head + "\n\n" + "\n".join(section for section in sections if section is not None)
 
 
 if __name__ == "__main__":

@@ -24,16 +24,20 @@ class Claim:
     why: str
 
 
+Tables = list[tuple[str, list[dict[str, str]]]]
+"""Titles, and rows with the same keys: the columns."""
+
+
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: how it was measured, tables (a title, rows with the same keys: the columns), claims, pictures.
+    """A part of the page: how it was measured, tables, claims, pictures.
 
     Pictures are names of files in ``docs/images`` with what they show.
     """
 
     title: str
     how: str
-    tables: list[tuple[str, list[dict[str, str]]]] = field(default_factory=list)
+    tables: Tables = field(default_factory=list)
     claims: list[Claim] = field(default_factory=list)
     pictures: list[tuple[str, str]] = field(default_factory=list)
 
@@ -52,14 +56,20 @@ def markdown(section: Section) -> str:
     for title, rows in section.tables:
         parts.append("\n".join([f"**{title}**", "", *table(rows)]))
     if section.claims:
-        words = {True: "held", False: "**not held**", None: "open"}
-        rows = [
-            {"claim": f"{claim.says} ({claim.source})", "found here": claim.found, "": words[claim.held], "why": claim.why}
-            for claim in section.claims
-        ]
-        parts.append("\n".join(table(rows)))
+        parts.append("\n".join(claims_table(section.claims)))
     parts += [f"![{caption}](images/{name})\n\n*{caption}*" for name, caption in section.pictures]
     return "\n\n".join(parts) + "\n"
+
+
+def claims_table(claims: list[Claim]) -> list[str]:
+    """Lines of a Markdown table of claims."""
+    words = {True: "held", False: "**not held**", None: "open"}
+    return table(
+        [
+            {"claim": f"{claim.says} ({claim.source})", "found here": claim.found, "": words[claim.held], "why": claim.why}
+            for claim in claims
+        ]
+    )
 
 
 def table(rows: list[dict[str, str]]) -> list[str]:

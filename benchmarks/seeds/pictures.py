@@ -61,8 +61,19 @@ def _part(view: PerspectiveView, box: CropBox) -> PerspectiveView:
     return view.part(top, left, height, width)
 
 
+_written = True
+
+
+def write_pictures(write: bool) -> None:
+    """Whether sheets are written from now on: the page shows those of one device."""
+    global _written
+    _written = write
+
+
 def write_sheet(name: str, cells: Sequence[CaptionedPicture], columns: int) -> None:
     """Cells of one size in rows, each over its caption, as a file in ``IMAGES``."""
+    if not _written:
+        return
     width, height = cells[0].picture.size
     step_x, step_y = width + GAP_PX, height + 2 * TEXT_PX + GAP_PX
     page = Image.new("RGB", (columns * step_x + GAP_PX, -(-len(cells) // columns) * step_y + GAP_PX), PAPER)

@@ -1,0 +1,92 @@
+"""The figures of several devices on one page: a table's cells hold those of all, one after the other, and each judges the claims.
+
+The first device is the one that the page is about; its order is that of the file of figures.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from benchmarks.seeds.claims import Claim, Experiment, Figures, Tables, claims_table, markdown
+from terrain.gl.device import Device
+
+DeviceFigures = dict[str, Any]
+"""Of a device: whether it is in ``software``, and its ``experiments`` by name."""
+
+Measured = dict[str, DeviceFigures]
+"""By OpenGL's name of the device."""
+
+NO_GPU = """**Nothing on this page was measured on a GPU: there was none.** On a machine with one,
+`python -m benchmarks.seeds` makes all experiments there, and puts their figures beside these; `SKUGGA_EGL_DEVICE` says on which
+device, and `skugga doctor` lists them ([a GPU](operating.md#a-gpu))."""
+
+LATER = """On a GPU a pass ends when it has handed over what is to be drawn; the time of drawing falls to the pass that first
+reads some of it. So shares of stages mean less there than whole times."""
+
+
+def read_measured(path: Path) -> Measured:
+    """What was measured so far."""
+    return json.loads(path.read_text("utf-8")) if path.exists() else {}
+
+
+def add_figures(measured: Measured, device: Device, name: str, figures: Figures) -> None:
+    """Note an experiment's figures on a device, instead of those that it had there; those of other devices stay."""
+    of_device = measured.setdefault(device.renderer, {"software": device.egl_device.software, "experiments": {}})
+    of_device["experiments"][name] = figures
+
+
+def about_devices(measured: Measured) -> str:
+    """Which devices there are, and what the page says of them."""
+    names = list(measured)
+    lines = [f"Device: {names[0]}."]
+    if len(names) > 1:
+        listed = "; ".join(f"({number}) {name}" for number, name in enumerate(names, 1))
+        lines = [f"Devices: {listed}. Where their figures differ, tables have one for each, in this order, as `1.00 / 0.52`."]
+    if all(each["software"] for each in measured.values()):
+        return "\n\n".join([*lines, NO_GPU])
+    return "\n\n".join([*lines, LATER])
+
+
+def section_of(name: str, experiment: Experiment, measured: Measured) -> str | None:
+    """An experiment's part of the page, as Markdown, with the figures of all devices that it was made on."""
+    sections = {
+        device: experiment.section(each["experiments"][name]) for device, each in measured.items() if name in each["experiments"]
+    }
+    if not sections:
+        return None
+    (first, section), *others = sections.items()
+    only = "" if first == next(iter(measured)) else f" (measured on {first} alone)"
+    tables = _beside(section.tables, {device: other.tables for device, other in others})
+    page = markdown(replace(section, how=section.how + only, tables=tables))
+    return "\n".join([page, *(_judged(device, other.claims) for device, other in others if other.claims)])
+
+
+def _beside(tables: Tables, others: Mapping[str, Tables]) -> Tables:
+    """Tables whose cells hold what all devices found; one that has other rows than the first device's stands by itself, below."""
+    found: Tables = []
+    for number, (title, rows) in enumerate(tables):
+        joined, apart = [[{key: [value] for key, value in row.items()} for row in rows], []]
+        for device, theirs in others.items():
+            rows_there = theirs[number][1] if number < len(theirs) else []
+            if _heads(rows_there) != _heads(rows):
+                apart.append((f"{title}: {device}", rows_there))
+                continue
+            for row, there in zip(joined, rows_there, strict=True):
+                for key, value in there.items():
+                    row[key].append(value)
+        cells = [{key: values[0] if len({*values}) == 1 else " / ".join(values) for key, values in row.items()} for row in joined]
+        found += [(title, cells), *apart]
+    return found
+
+
+def _heads(rows: list[dict[str, str]]) -> list[tuple[tuple[str, ...], str]]:
+    """What two tables have to have in common: columns, and what each row is about."""
+    return [((*row,), next(iter(row.values()))) for row in rows]
+
+
+def _judged(device: str, claims: list[Claim]) -> str:
+    return "\n".join([f"**The same claims on {device}**", "", *claims_table(claims), ""])

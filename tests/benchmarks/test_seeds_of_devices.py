@@ -1,0 +1,116 @@
+"""The seeds' figures of a second device stand beside those of the first."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from benchmarks.seeds import __main__ as seeds
+from benchmarks.seeds.claims import Claim, Experiment, Section
+from benchmarks.seeds.devices import about_devices, add_figures, section_of
+
+FIGURES = Path(seeds.__file__).parent / "seeds.json"
+
+
+def device(renderer: str, software: bool) -> Any:
+    return SimpleNamespace(renderer=renderer, egl_device=SimpleNamespace(software=software))
+
+
+CPU, CARD = device("a rasteriser", True), device("a card", False)
+
+
+def section(figures: dict[str, Any]) -> Section:
+    rows = [{"scene": scene, "map": "1024", "time": f"{time:.2f}"} for scene, time in figures["times"].items()]
+    claim = Claim("a text", "it is fast", f"{max(figures['times'].values()):.2f}", max(figures["times"].values()) < 1.0, "so it is")
+    return Section("Times", "Measured.", [("The times", rows)], [claim])
+
+
+EXPERIMENT = Experiment(dict, section)
+
+
+def measured_on(*devices: Any, times: tuple[dict[str, float], ...]) -> dict[str, Any]:
+    measured: dict[str, Any] = {}
+    for each, of_it in zip(devices, times, strict=True):
+        add_figures(measured, each, "times", {"times": of_it})
+    return measured
+
+
+def test_cells_that_differ_hold_both_figures_in_the_order_of_the_devices():
+    text = section_of("times", EXPERIMENT, measured_on(CPU, CARD, times=({"one": 2, "two": 0.5}, {"one": 0.25, "two": 0.5})))
+    assert text is not None
+    assert "| one | 1024 | 2.00 / 0.25 |\n| two | 1024 | 0.50 |" in text
+    first, second = text.split("**The same claims on a card**")
+    assert "| it is fast (a text) | 2.00 | **not held** | so it is |" in first
+    assert "| it is fast (a text) | 0.50 | held | so it is |" in second
+
+
+def test_a_table_with_other_rows_stands_by_itself():
+    text = section_of("times", EXPERIMENT, measured_on(CPU, CARD, times=({"one": 2, "two": 0.5}, {"one": 0.25, "six": 0.5})))
+    assert text is not None
+    assert "| two | 1024 | 0.50 |\n" in text and "**The times: a card**" in text and "| six | 1024 | 0.50 |" in text
+
+
+def test_what_was_made_on_one_device_alone_says_so():
+    measured = measured_on(CPU, CARD, times=({"one": 2}, {"one": 0.25}))
+    assert section_of("other", EXPERIMENT, measured) is None
+    del measured[CPU.renderer]["experiments"]["times"]
+    assert "Measured. (measured on a card alone)" in section_of("times", EXPERIMENT, measured)
+
+
+def test_measuring_again_replaces_a_devices_own_figures():
+    measured = measured_on(CPU, CARD, CPU, times=({"one": 2}, {"one": 0.25}, {"one": 3}))
+    assert [each["experiments"]["times"]["times"]["one"] for each in measured.values()] == [3, 0.25]
+    assert list(measured) == [CPU.renderer, CARD.renderer], "the page stays about the first"
+
+
+def test_the_page_says_whether_a_gpu_was_measured():
+    soft, both = measured_on(CPU, times=({"one": 2},)), measured_on(CPU, CARD, times=({"one": 2}, {"one": 1}))
+    assert "Nothing on this page was measured on a GPU" in about_devices(soft)
+    assert "Nothing on this page was measured on a GPU" in about_devices(measured_on(CPU, device("b", True), times=({}, {})))
+    assert "Nothing" not in about_devices(both) and "(1) a rasteriser; (2) a card" in about_devices(both)
+
+
+def test_all_experiments_can_stand_beside_those_of_another_device():
+    """Of the page as it is: a made-up device, half as fast in everything, and one that finds the same."""
+    measured = json.loads(FIGURES.read_text("utf-8"))
+    (first,) = measured.values()
+    plain = seeds.page(measured)
+
+    def halved(figures: Any) -> Any:
+        if isinstance(figures, dict):
+            return {key: halved(value) / 2 if key == "ms" else halved(value) for key, value in figures.items()}
+        return figures
+
+    same = seeds.page(measured | {"twin": copy.deepcopy(first)})
+    assert not re.search(r"\d / \d", "".join(set(same.splitlines()) - set(plain.splitlines())).replace("1.00 / 0.52", ""))
+    assert same.count("**The same claims on twin**") == sum("| claim | found here |" in part for part in plain.split("\n## "))
+    other = {"software": False, "experiments": {"stages": halved(first["experiments"]["stages"])}}
+    assert "**The same claims on card**" in seeds.page(measured | {"card": other})
+
+
+def test_a_run_on_a_second_device_leaves_the_firsts_figures_alone(tmp_path, monkeypatch, capsys):
+    json_file, page_file = tmp_path / "figures.json", tmp_path / "page.md"
+    monkeypatch.setattr(seeds, "EXPERIMENTS", {"times": Experiment(lambda: {"times": {"one": now.speed}}, section)})
+    now = SimpleNamespace(speed=2.0)
+    for each, speed in ((CPU, 2.0), (CARD, 0.123456789)):
+        now.speed = speed
+        monkeypatch.setattr(seeds, "device", lambda each=each: each)
+        monkeypatch.setattr("sys.argv", ["seeds", "--json", str(json_file), "--markdown", str(page_file)])
+        seeds.main()
+    assert json.loads(json_file.read_text())[CARD.renderer] == {
+        "software": False, "experiments": {"times": {"times": {"one": 0.123457}}},
+    }  # fmt: skip
+    assert "| one | 1024 | 2.00 / 0.12 |" in page_file.read_text()
+    monkeypatch.setattr("sys.argv", [*("seeds --write-only --without".split()), CARD.renderer, "--json", str(json_file),
+                                     "--markdown", str(page_file)])  # fmt: skip
+    seeds.main()
+    assert list(json.loads(json_file.read_text())) == [CPU.renderer] and "2.00 |" in page_file.read_text()
+    with pytest.raises(SystemExit):
+        seeds.main()
+    assert "there are no figures of a card; there are of a rasteriser" in capsys.readouterr().err
