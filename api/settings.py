@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from terrain.errors import Fault, InputError
-from terrain.gl.egl_devices import AUTO, read_setting
+from terrain.gl.egl_devices import AUTO_DEVICE, read_setting
 
 MAX_DEFAULT_WORKERS = 4
 """Render processes that are started unasked at most: with a software rasteriser each takes about 1.5 GB."""
@@ -125,7 +125,7 @@ class Settings(BaseSettings):
         default=None, description="Text that the OpenGL renderer's name has to contain; else no render process starts."
     )
     egl_device: str = Field(
-        default=AUTO,
+        default=AUTO_DEVICE,
         description="Device to draw with, for all commands: `auto`, `software`, or numbers of devices (`0`, `0,1`), with which "
         "render processes take turns; `skugga doctor` lists them.",
     )

@@ -58,7 +58,7 @@ def _opengl() -> Finding:
 def _egl_devices() -> list[Finding]:
     """Each device that EGL lists, asked what it draws with. One that draws nothing is no fault while another one does."""
     from terrain.gl.device import device
-    from terrain.gl.egl_devices import EGL_DEVICE, egl_devices, probed
+    from terrain.gl.egl_devices import EGL_DEVICE, egl_devices, probed_device
 
     try:
         devices = egl_devices()
@@ -70,7 +70,7 @@ def _egl_devices() -> list[Finding]:
         used = None
     found = []
     for each in devices:
-        answer = probed(each.index)
+        answer = probed_device(each.index)
         words = [f"no OpenGL 4.3 context ({answer.fault})" if answer.fault else f"{answer.renderer}, {answer.version}"]
         words += ["in software"] * each.software + [each.name] * bool(each.name) + ["drawn with"] * (each.index == used)
         found.append(Finding(f"EGL device {each.index}", True, ", ".join(words)))

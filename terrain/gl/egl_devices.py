@@ -1,7 +1,7 @@
 """The devices that EGL lists, and which of them a process draws with: the setting ``SKUGGA_EGL_DEVICE``.
 
 EGL lists graphics cards first and Mesa's software rasteriser last. What a device is called is known once it has made a context, and
-a process makes one: others are asked in processes of their own (``probed``), which a driver that crashes or hangs harms as little.
+a process makes one: others are asked in processes of their own (``probed_device``), which a driver that crashes or hangs harms as little.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import moderngl
 
 EGL_DEVICE = "SKUGGA_EGL_DEVICE"
-AUTO, SOFTWARE = "auto", "software"
+AUTO_DEVICE, SOFTWARE_DEVICE = "auto", "software"
 EGL_DEVICE_VALUES = "auto, software, or numbers of devices, separated by commas"
 
 LIBEGL, LIBGL = "libEGL.so.1", "libGL.so.1"
@@ -61,7 +61,7 @@ class ProbedDevice:
     fault: str = ""
 
 
-Probe = Callable[[int], ProbedDevice]
+DeviceProbe = Callable[[int], ProbedDevice]
 
 _turn = 0
 
@@ -116,8 +116,8 @@ def no_context(why: str) -> NoOpenGLError:
 
 def read_setting(value: str) -> str | tuple[int, ...]:
     """``auto``, ``software`` or the numbers of devices. Raises ``InputError``."""
-    text = value.strip().lower() or AUTO
-    if text in (AUTO, SOFTWARE):
+    text = value.strip().lower() or AUTO_DEVICE
+    if text in (AUTO_DEVICE, SOFTWARE_DEVICE):
         return text
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isascii() and part.isdigit() for part in parts):
@@ -125,7 +125,7 @@ def read_setting(value: str) -> str | tuple[int, ...]:
     return tuple(map(int, parts))
 
 
-def devices_to_try(value: str, devices: Sequence[EglDevice], turn: int, probe: Probe) -> list[EglDevice]:
+def devices_to_try(value: str, devices: Sequence[EglDevice], turn: int, probe: DeviceProbe) -> list[EglDevice]:
     """The devices that a process with a number takes, by the setting: the first that makes a context. One, where it is named.
 
     ``auto`` prefers graphics cards, and lets processes take turns with those that draw with the same as the first that draws at
@@ -134,10 +134,10 @@ def devices_to_try(value: str, devices: Sequence[EglDevice], turn: int, probe: P
     Raises ``InputError`` where there is no such device, ``GraphicsError`` where devices that are named together are of two kinds.
     """
     asked = read_setting(value)
-    if asked == AUTO:
+    if asked == AUTO_DEVICE:
         cards = [device for device in devices if not device.software]
         return [*_in_turn(cards, turn, probe), *(device for device in devices if device.software)]
-    if asked == SOFTWARE:
+    if asked == SOFTWARE_DEVICE:
         found = [device for device in devices if device.software]
         if not found:
             raise _no_such_device(value, devices)
@@ -156,7 +156,7 @@ def devices_to_try(value: str, devices: Sequence[EglDevice], turn: int, probe: P
     return [devices[taken]]
 
 
-def _in_turn(cards: list[EglDevice], turn: int, probe: Probe) -> list[EglDevice]:
+def _in_turn(cards: list[EglDevice], turn: int, probe: DeviceProbe) -> list[EglDevice]:
     """Graphics cards in the order in which a process with a number tries them."""
     if not turn or len(cards) < 2:
         return cards
@@ -177,10 +177,10 @@ def open_context() -> tuple[moderngl.Context, EglDevice]:
     Raises ``NoOpenGLError`` where no device makes one, ``GraphicsError`` where one does not that is named, ``InputError`` for a
     setting that is wrong.
     """
-    value = os.environ.get(EGL_DEVICE, AUTO)
+    value = os.environ.get(EGL_DEVICE, AUTO_DEVICE)
     asked, devices = read_setting(value), egl_devices()
     faults = []
-    for device in devices_to_try(value, devices, _turn, probed):
+    for device in devices_to_try(value, devices, _turn, probed_device):
         try:
             context = context_of(device.index)
         except Exception as error:  # glcontext raises bare exceptions of several kinds
@@ -189,7 +189,7 @@ def open_context() -> tuple[moderngl.Context, EglDevice]:
         if faults:
             log.warning("EGL %s; device %s is taken instead", "; ".join(faults), device)
         return context, device
-    if asked != AUTO:
+    if asked != AUTO_DEVICE:
         raise GraphicsError(f"{EGL_DEVICE}: '{value}' gives no OpenGL 4.3 context: {'; '.join(faults)}")
     raise no_context("; ".join(faults))
 
@@ -213,7 +213,7 @@ def _unset(variable: str) -> Iterator[None]:
             os.environ[variable] = value
 
 
-def probed(index: int) -> ProbedDevice:
+def probed_device(index: int) -> ProbedDevice:
     """What a device draws with, asked in a process of its own, which takes a part of a second."""
     code = f"from terrain.gl.egl_devices import answer_probe; answer_probe({index})"
     try:

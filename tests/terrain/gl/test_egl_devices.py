@@ -20,7 +20,7 @@ from terrain.gl.egl_devices import (
     ProbedDevice,
     devices_to_try,
     open_context,
-    probed,
+    probed_device,
     read_setting,
     take_turn,
 )
@@ -126,7 +126,7 @@ def machine(monkeypatch: pytest.MonkeyPatch):
         devices = tuple(EglDevice(index, kind is SOFT) for index, kind in enumerate(kinds))
         monkeypatch.setattr(egl_devices, "egl_devices", lambda: devices)
         monkeypatch.setattr(egl_devices, "context_of", context_of)
-        monkeypatch.setattr(egl_devices, "probed", lambda index: kinds[index])
+        monkeypatch.setattr(egl_devices, "probed_device", lambda index: kinds[index])
         monkeypatch.setattr(egl_devices, "_turn", 0)
         monkeypatch.setenv(EGL_DEVICE, setting)
 
@@ -175,8 +175,8 @@ def test_an_egl_that_lists_no_devices(monkeypatch: pytest.MonkeyPatch):
 def test_this_machine(gl):
     devices = egl_devices.egl_devices()
     assert gl.egl_device in devices
-    assert probed(gl.egl_device.index) == ProbedDevice(gl.renderer, gl.version)
-    assert f"{len(devices)}" in probed(len(devices)).fault
+    assert probed_device(gl.egl_device.index) == ProbedDevice(gl.renderer, gl.version)
+    assert f"{len(devices)}" in probed_device(len(devices)).fault
 
 
 @pytest.mark.parametrize(
@@ -188,7 +188,7 @@ def test_a_driver_that_crashes_or_hangs_is_no_more_than_a_fault(script, fault, t
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setattr(egl_devices.sys, "executable", str(program))
     monkeypatch.setattr(egl_devices, "PROBE_LIMIT_S", 0.5 if "sleep" in script else 60.0)
-    assert fault in probed(0).fault
+    assert fault in probed_device(0).fault
 
 
 def test_the_second_of_two_devices(gl, tmp_path):
