@@ -1,7 +1,8 @@
 """The devices that EGL lists, and which of them a process draws with: the setting ``SKUGGA_EGL_DEVICE``.
 
 EGL lists graphics cards first and Mesa's software rasteriser last. What a device is called is known once it has made a context, and
-a process makes one: others are asked in processes of their own (``probed_device``), which a driver that crashes or hangs harms as little.
+a process makes one: others are asked in processes of their own (``probed_device``), which a driver that crashes or hangs harms as
+little.
 """
 
 from __future__ import annotations
