@@ -1,24 +1,36 @@
-"""Colour of the visible surface: a style's tint, Lambert's law and sky light, in linear light, encoded as sRGB."""
+"""Colour of the visible surface: a style's tint, Lambert's law and sky light, in linear light, encoded as sRGB.
+
+What light and which look a scene has is said here; the loops over pixels are in ``terrain.shading_loops``.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import in_shares
 from terrain.gbuffer.bare_ground import BareGround
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import FOREST, RELIEF
+from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame
 from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
+from terrain.shading_loops import (
+    LightHere,
+    Look,
+    albedo_rows,
+    encode_rows,
+    luminance_of,
+    shade_bare_ground,
+    shade_rows,
+    slopes_sky,
+)
 from terrain.srgb import srgb_of_linear
-from terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M, tint_table, veil_table
+from terrain.style import TINT_COUNT, tint_table, veil_table
 
 LEVEL_ALBEDO = 0.42
 """Linear albedo of ground without any relief, which has no heights to tint."""
@@ -29,24 +41,9 @@ SKY_SHARE = 0.28
 LEVEL_GROUND = 0.86
 """Linear exposure of level, lit, white ground: the same for every sun down to ``EXPOSURE_FLOOR_DEG``."""
 
-SHOULDER, SHOULDER_LEFT = 0.6, 0.4
-"""Linear colour from which on brighter light is shown darker than it is, and what is left from there to white."""
-
 EXPOSURE_FLOOR_DEG = 18.0
 NIGHT_SKY = 0.08
 """Sky light of the night as a share of the day's, so that a map can be read."""
-
-LEAST_SKY = 0.3
-"""Least factor of the sky's light on a slope that is turned away from the sky's bright side."""
-
-LEAST_ACROSS = 0.15
-"""Least cosine of the sun's altitude by which its direction on the horizon is told: near the zenith it has none."""
-
-LEAST_GRAZING = 1e-9
-"""Cosine to the sun from which on light is told from none."""
-
-AIR = (0.66, 0.74, 0.84)
-"""Linear colour of the veil of air over low ground, by day."""
 
 LAMP_ROOM_LIGHT = 0.4
 """Light from all round, as a share of the day's sky light, where lamps shine and there is no sun."""
@@ -66,11 +63,6 @@ OVERCAST_GROUND = 0.56
 SHORE_M = 1e-3
 """Ground that is no farther than this from the height of the water is water."""
 
-HIGH_SUN_DEG = 6.01
-"""From here on the sun's altitude changes neither direct light nor the sky's (``_shade``, ``dusk_of``), and a hundredth of a degree
-before: it is looked at in some places of a map alone.
-"""
-
 _SRGB_STEPS = 4096
 
 
@@ -80,31 +72,6 @@ class Daylight:
 
     sun: np.ndarray
     sky: np.ndarray
-
-
-class LightHere(NamedTuple):
-    """A day's light, the direction (3,) to its sun in a frame, and the night's share of the sky's."""
-
-    has_sun: bool
-    to_sun_frame: np.ndarray
-    sun: np.ndarray
-    sky: np.ndarray
-    night: float
-
-
-class Look(NamedTuple):
-    """What a style makes of ground and light, as the loops take it: linear colours (n, 3) by height, greying and direction of the
-    sky's light, the slopes' factor and limit, the veil's share (n,) by height, and a factor of foliage's albedo.
-    """
-
-    tint: np.ndarray
-    sky_greying: float
-    sky_towards_sun: float
-    terminator: float
-    slope_exaggeration: float
-    slope_limit: float
-    veil: np.ndarray
-    foliage: float
 
 
 def daylight_of(scene: Scene) -> Daylight:
@@ -162,7 +129,7 @@ def shade(
         albedo = buffer.albedo if scene.loaded.level.water is None else albedo_of(buffer, scene)
     out = np.zeros((*buffer.there.shape, 3), np.float32)
     in_shares(
-        len(out), _shade, buffer.shown, look_of(scene, buffer.view), light_here(scene, buffer.frame),
+        len(out), shade_rows, buffer.shown, look_of(scene, buffer.view), light_here(scene, buffer.frame),
         scene.world.up_from(buffer.frame), LEAF_GLOW, albedo, sunlight, skylight, lamplight, out,
     )  # fmt: skip
     return out
@@ -182,7 +149,7 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
     out = np.zeros((*ground.there.shape, 3), np.uint8)
     if ground.height_m.size:
         light = light_here(scene, ground.frame)
-        _shade_ground(
+        shade_bare_ground(
             ground.there[ground.window], ground.height_m, ground.normal_frame, ground.up_frame, ground.sky_share,
             sunlight[ground.window], look_of(scene, ground.view), light, _srgb_table(),
             out[ground.window],
@@ -194,18 +161,8 @@ def open_sky(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Share of the sky (rows, cols) float32 that a slope leaves by itself: half of it upright, all of it lying flat."""
     out = np.zeros(buffer.there.shape, np.float32)
     centre = scene.world.up_from(buffer.frame)
-    in_shares(len(out), _open_sky, buffer.there, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
+    in_shares(len(out), slopes_sky, buffer.there, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
     return out
-
-
-@compiled
-def _open_sky(first, last, there, normal, position, centre, out):
-    for i in range(first, last):
-        for j in range(there.shape[1]):
-            if there[i, j]:
-                n, p = normal[i, j], position[i, j]
-                x, y, z = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
-                out[i, j] = 0.5 + 0.5 * (n[0] * x + n[1] * y + n[2] * z) / np.sqrt(x * x + y * y + z * z)
 
 
 def night_of(scene: Scene) -> float:
@@ -216,7 +173,7 @@ def night_of(scene: Scene) -> float:
 def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Linear albedo (rows, cols, 3) float32 of a buffer's points, the ground's tint and water included: a new array."""
     albedo = np.zeros((*buffer.there.shape, 3), np.float32)
-    in_shares(len(albedo), _albedo, buffer.there, buffer.height_m, buffer.albedo, look_of(scene, buffer.view).tint, albedo)
+    in_shares(len(albedo), albedo_rows, buffer.there, buffer.height_m, buffer.albedo, look_of(scene, buffer.view).tint, albedo)
     if scene.loaded.level.water is not None:
         water = water_in(buffer, scene)
         albedo[water if buffer.albedo is None else water & np.isnan(buffer.albedo[..., 0])] = scene.style.water
@@ -232,14 +189,8 @@ def srgb_encoded(linear: np.ndarray) -> np.ndarray:
     """sRGB as uint8 of linear display colour in [0, 1]."""
     out = np.empty(linear.shape, np.uint8)
     flat = np.ascontiguousarray(linear).reshape(-1)
-    in_shares(flat.size, _encode, flat, _srgb_table(), out.reshape(-1))
+    in_shares(flat.size, encode_rows, flat, _srgb_table(), out.reshape(-1))
     return out
-
-
-@compiled
-def _encode(first, last, linear, table, out):
-    for n in range(first, last):
-        out[n] = table[min(np.int32(linear[n] * table.size), table.size - 1)]
 
 
 def exposure_of(altitude_deg: float | None) -> float:
@@ -254,274 +205,3 @@ def exposure_of(altitude_deg: float | None) -> float:
 @cached("process", MIB)
 def _srgb_table() -> np.ndarray:
     return np.rint(255.0 * srgb_of_linear((np.arange(_SRGB_STEPS) + 0.5) / _SRGB_STEPS)).astype(np.uint8)
-
-
-@compiled
-def dusk_of(sine):
-    """Share of the day's sky light for the sine of the sun's altitude: all from 6 degrees on, none below -12 (nautical dusk)."""
-    altitude = np.degrees(np.arcsin(min(max(sine, -1.0), 1.0)))
-    share = min(max((altitude + 12.0) / 18.0, 0.0), 1.0)
-    return share * share * (3.0 - 2.0 * share)
-
-
-@compiled
-def shoulder(linear):
-    """Display colour of linear light: itself up to ``SHOULDER``, from there on ever less, so that slopes that face a low sun keep
-    their tint.
-    """
-    return linear if linear <= SHOULDER else 1.0 - SHOULDER_LEFT**2 / (linear + SHOULDER_LEFT - SHOULDER)
-
-
-@compiled
-def luminance_of(red, green, blue):
-    """Luminance of linear sRGB (ITU-R BT.709)."""
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
-
-
-@compiled
-def _on_slope(facing, upright, sine, exaggeration, limit):
-    """A slope's cosines to the sun and to the zenith as shading takes them: its slope t made t' = a t / sqrt(1 + (a t / limit)**2).
-
-    Of a normal n, ``facing`` is n.s and ``upright`` n.u, with s the sun's direction and u up; ``sine`` is s.u.
-    """
-    if upright <= 0.0:
-        return facing, upright
-    flat = np.sqrt(max(1.0 - upright * upright, 0.0))
-    slope = exaggeration * flat / upright
-    steeper = exaggeration / np.sqrt(1.0 + slope * slope / (limit * limit))
-    slope = steeper * flat / upright
-    drawn = 1.0 / np.sqrt(1.0 + slope * slope)
-    return (facing - sine * upright) * steeper * drawn / upright + sine * drawn, drawn
-
-
-@compiled
-def _sky_on_slope(facing, upright, sine, towards):
-    """Factor of the sky's light on a slope, if the share ``towards`` of it comes from 45 degrees over the sun's azimuth: 1 on level
-    ground.
-    """
-    across = (facing - sine * upright) / max(np.sqrt(max(1.0 - sine * sine, 0.0)), LEAST_ACROSS)
-    return max(1.0 + towards * (across + upright - 1.0), LEAST_SKY)
-
-
-@compiled
-def _towards_sun(facing, sine, terminator):
-    """How much direct light falls on a slope: Lambert's cosine, and less where that is below the share ``terminator`` of what
-    level ground has. Facets of a raster that are turned away, beside others that are not, would be seen as dark squares on slopes
-    that the light grazes.
-    """
-    cosine = max(facing, 0.0)
-    share = min(cosine / max(terminator * sine, LEAST_GRAZING), 1.0)
-    return cosine * share * share * (3.0 - 2.0 * share)
-
-
-@compiled
-def _direct_at(sine):
-    """Direct light fades in over the first degree of the sun's altitude at a place."""
-    return min(max(np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))), 0.0), 1.0)
-
-
-@compiled
-def _shade(first, last, shown, look, light_here, centre, glow, albedo, sunlight, skylight, lamplight, out):
-    # What is None is decided when this is compiled: each variant holds the code of what it is given alone.
-    there, kind, position, height, normal = shown
-    tint, greying, towards, terminator, exaggeration, limit, veils, foliage = look
-    has_sun, to_sun, sun, sky, night = light_here
-    as_it_is = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
-    for i in range(first, last):
-        for j in range(there.shape[1]):
-            if not there[i, j]:
-                continue
-            n, p = normal[i, j], position[i, j]
-            leaf = glow if kind[i, j] == FOREST else 0.0
-            ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
-            length = np.sqrt(ux * ux + uy * uy + uz * uz)
-            seen = 0.5 + 0.5 * (n[0] * ux + n[1] * uy + n[2] * uz) / length if skylight is None else skylight[i, j]
-            # Rounded as that of bare ground is, whose pictures are the same.
-            ux, uy, uz = _rounded(ux / length), _rounded(uy / length), _rounded(uz / length)
-            sine = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz if has_sun else -1.0
-            upright = n[0] * ux + n[1] * uy + n[2] * uz
-            facing = n[0] * to_sun[0] + n[1] * to_sun[1] + n[2] * to_sun[2]
-            if has_sun:
-                if kind[i, j] == RELIEF and not as_it_is:
-                    facing, upright = _on_slope(facing, upright, sine, exaggeration, limit)
-                seen = seen * _sky_on_slope(facing, upright, sine, towards)
-                if kind[i, j] == RELIEF:
-                    facing = _towards_sun(facing, sine, terminator)
-            sky_here = night + (1.0 - night) * dusk_of(sine)
-            direct = (leaf + (1.0 - leaf) * max(facing, 0.0)) * (_direct_at(sine) * sunlight[i, j])
-            at, beyond = _place(height[i, j])
-            veil = veils[at] + (veils[at + 1] - veils[at]) * beyond
-            red, green, blue = _tinted(tint, at, beyond)
-            if albedo is not None:
-                if np.isfinite(albedo[i, j, 0]):
-                    red, green, blue = albedo[i, j, 0], albedo[i, j, 1], albedo[i, j, 2]
-            if kind[i, j] == FOREST:
-                red, green, blue = min(foliage * red, 1.0), min(foliage * green, 1.0), min(foliage * blue, 1.0)
-            own = red, green, blue
-            grey = luminance_of(red, green, blue)
-            for k in range(3):
-                light = own[k] * sun[k] * direct + (own[k] + greying * (grey - own[k])) * sky[k] * (sky_here * seen)
-                if lamplight is not None:
-                    light += own[k] * lamplight[i, j, k]
-                light = shoulder(light)
-                out[i, j, k] = light + veil * (AIR[k] * sky_here - light)
-
-
-@compiled
-def _rounded(value):
-    return np.float64(np.float32(value))
-
-
-@compiled
-def _place(height):
-    """Which of the heights that a ramp is tabulated at lies below one, and by what share of the way to the next it is beyond."""
-    share = min(max((height - TINT_LOW_M) / TINT_STEP_M, 0.0), TINT_COUNT - 1.0)
-    at = min(int(share), TINT_COUNT - 2)
-    return at, share - at
-
-
-@compiled
-def _tinted(tint, at, beyond):
-    """The ramp's colour there."""
-    return (
-        tint[at, 0] + (tint[at + 1, 0] - tint[at, 0]) * beyond,
-        tint[at, 1] + (tint[at + 1, 1] - tint[at, 1]) * beyond,
-        tint[at, 2] + (tint[at + 1, 2] - tint[at, 2]) * beyond,
-    )
-
-
-@compiled
-def _shade_ground(there, height, normal, up, sky_share, sunlight, look, light_here, table, out):
-    """``_shade`` of bare ground and ``srgb_encoded`` of that, row by row: in loops that compile to vector instructions, and what is
-    looked up in tables between them.
-    """
-    tint, greying, towards, terminator, exaggeration, limit, veils, _ = look
-    _, to_sun, sun, sky, night = light_here
-    cols = there.shape[1]
-    direct, sky_here, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
-    facing, high, seen = np.empty(cols), np.empty(cols), np.empty(cols)
-    as_it_is = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
-    beyond, at = np.empty(cols), np.empty(cols, np.int32)
-    own, grey, step = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
-    channels, greys = _by_channel(tint)
-    high_sine = np.sin(np.radians(HIGH_SUN_DEG))
-    for i in range(there.shape[0]):
-        _face(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
-        high_everywhere = True  # a hole has no sine
-        for j in range(cols):
-            high_everywhere = high_everywhere and not sines[j] <= high_sine
-        for j in range(cols):
-            direct[j], sky_here[j] = sunlight[i, j], 1.0
-        if not high_everywhere:
-            for j in range(cols):
-                direct[j] *= _direct_at(sines[j])
-                sky_here[j] = night + (1.0 - night) * dusk_of(sines[j])
-        _face(normal[i], (to_sun[0], to_sun[1], to_sun[2]), facing)
-        _stand(normal[i], up[i], high)
-        if not as_it_is:
-            _steepen(facing, high, sines, exaggeration, limit)
-        _sky_on_row(facing, high, sines, towards, sky_share[i], sky_here, seen)
-        _sun_on_row(facing, sines, terminator, direct)
-        _place_in_tint(height[i], beyond, at)
-        _look_up_tint(veils, at, beyond, veil)
-        _look_up_tint(greys, at, beyond, grey)
-        for k in range(3):
-            _look_up_tint(channels[k], at, beyond, own)
-            _srgb_steps_of(own, grey, greying, sun[k], sky[k], direct, seen, veil, sky_here, AIR[k], table.size, step)
-            _look_up_srgb(there[i], step, table, out[i, :, k])
-
-
-@compiled
-def _by_channel(tint):
-    """A ramp's colours (3, n), and their luminances (n,)."""
-    channels, greys = np.empty((3, len(tint))), np.empty(len(tint))
-    for n in range(len(tint)):
-        greys[n] = luminance_of(tint[n, 0], tint[n, 1], tint[n, 2])
-        for k in range(3):
-            channels[k, n] = tint[n, k]
-    return channels, greys
-
-
-@compiled
-def _face(normal, to_sun, out):
-    """Cosines of normals (n, 3) to the sun."""
-    for j in range(out.size):
-        out[j] = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
-
-
-@compiled
-def _stand(normal, up, out):
-    """Cosines of normals (n, 3) to the zenith, of which ``up`` (n, 3) are the directions."""
-    for j in range(out.size):
-        x, y, z = np.float64(up[j, 0]), np.float64(up[j, 1]), np.float64(up[j, 2])
-        out[j] = normal[j, 0] * x + normal[j, 1] * y + normal[j, 2] * z
-
-
-@compiled
-def _steepen(facing, upright, sines, exaggeration, limit):
-    """``_on_slope`` of a row."""
-    for j in range(facing.size):
-        facing[j], upright[j] = _on_slope(facing[j], upright[j], sines[j], exaggeration, limit)
-
-
-@compiled
-def _sky_on_row(facing, upright, sines, towards, sky_share, sky_here, out):
-    """How much of the sky's light falls on a row's slopes."""
-    for j in range(out.size):
-        out[j] = sky_share[j] * _sky_on_slope(facing[j], upright[j], sines[j], towards) * sky_here[j]
-
-
-@compiled
-def _sun_on_row(facing, sines, terminator, direct):
-    """Take a row's direct light to what falls on its slopes."""
-    for j in range(direct.size):
-        direct[j] *= _towards_sun(facing[j], sines[j], terminator)
-
-
-@compiled
-def _place_in_tint(height, beyond, at):
-    """The tint of heights: which of the ramp's colours lies below, and by what share of the way to the next they are beyond."""
-    for j in range(height.size):
-        share = min(max((height[j] - TINT_LOW_M) / TINT_STEP_M, 0.0), TINT_COUNT - 1.0)
-        at[j] = np.int32(min(share, TINT_COUNT - 2.0) if share > 0.0 else 0.0)  # any where there is no ground
-        beyond[j] = share - at[j]
-
-
-@compiled
-def _look_up_tint(tints, at, beyond, out):
-    for j in range(at.size):
-        here = tints[at[j]]
-        out[j] = here + (tints[at[j] + 1] - here) * beyond[j]
-
-
-@compiled
-def _srgb_steps_of(own, grey, greying, sun, sky, direct, seen, veil, sky_here, air, steps, out):
-    """Which of the table's ``steps`` the colour is that ground shows of light, with a shoulder and the veil of air."""
-    many = np.float32(steps)
-    for j in range(out.size):
-        shown = own[j] * (sun * direct[j]) + (own[j] + greying * (grey[j] - own[j])) * (sky * seen[j])
-        shown = shown if shown <= SHOULDER else 1.0 - SHOULDER_LEFT**2 / (shown + SHOULDER_LEFT - SHOULDER)
-        linear = np.float32(shown + veil[j] * (air * sky_here[j] - shown))
-        step = linear * many
-        out[j] = min(np.int32(step if step > 0.0 else 0.0), np.int32(steps - 1))
-
-
-@compiled
-def _look_up_srgb(there, step, table, out):
-    for j in range(step.size):
-        if there[j]:
-            out[j] = table[step[j]]
-
-
-@compiled
-def _albedo(first, last, there, height, albedo, tint, out):
-    for i in range(first, last):
-        for j in range(there.shape[1]):
-            if not there[i, j]:
-                continue
-            at, beyond = _place(height[i, j])
-            out[i, j, 0], out[i, j, 1], out[i, j, 2] = _tinted(tint, at, beyond)
-            if albedo is not None:
-                if np.isfinite(albedo[i, j, 0]):
-                    for k in range(3):
-                        out[i, j, k] = albedo[i, j, k]

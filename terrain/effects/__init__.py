@@ -2,7 +2,7 @@
 
 ``terrain.level.level.EffectName`` lists them, in the order in which those of one stage run; the file has the effect's name.
 
-May import: casters, facts, gbuffer, geo, ground, level, lights, scene, scene_objects, shading, sky, style.
+May import: casters, facts, gbuffer, geo, ground, level, lights, scene, scene_objects, shading, shading_loops, sky, style.
 """
 
 from __future__ import annotations

@@ -26,7 +26,8 @@ from terrain.ground.noise import OCTAVE_GAIN, noise_at
 from terrain.ground.surface import map_pixel_m
 from terrain.ground.visible_cells import CellRange, full_cell_range, visible_cells
 from terrain.scene import Scene
-from terrain.shading import daylight_of, dusk_of, night_of
+from terrain.shading import daylight_of, night_of
+from terrain.shading_loops import dusk_of
 
 LAYER_M, CLEARANCE_M = 1500.0, 500.0
 """Height of the clouds over the level's mean ground; over its highest they are at least this high."""
@@ -59,7 +60,7 @@ UNSEEN = 0.008
 """Share of the direct sun whose loss no pixel shows.
 
 Light that loses a share ``a`` loses ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``, of its sRGB code, which is at most 1.055 (with
-the code's own offset; less still in the linear part near black, and where the shoulder of ``terrain.shading`` holds it). That is a
+the code's own offset; less still in the linear part near black, and where the shoulder of ``terrain.shading_loops`` holds it). That is a
 step of 1/255 for ``a`` = 0.0089; the rest is left for the 4096 steps of the table that encodes.
 """
 
@@ -268,7 +269,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 def _direct_share(scene: Scene) -> float:
     """Largest share of a point's light that comes straight from the sun, in any channel.
 
-    The sun fades in over the first degree (``terrain.shading``). Anything may face it, but for bare ground at one height.
+    The sun fades in over the first degree (``terrain.shading_loops``). Anything may face it, but for bare ground at one height.
     """
     light, sine = daylight_of(scene), float(np.sin(np.radians(scene.highest_sun_deg or 0.0)))
     night = night_of(scene)

@@ -43,7 +43,8 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame, geodetic
 from terrain.scene import Scene
-from terrain.shading import daylight_of, shoulder
+from terrain.shading import daylight_of
+from terrain.shading_loops import shoulder
 from terrain.sky import horizon_colors, passing, sky_colors, sky_of, sunward
 from terrain.srgb import srgb_of_linear
 

@@ -21,7 +21,8 @@ from terrain.geo.grid import MapView
 from terrain.ground.visible_cells import CellRange, block_slices, visible_cells
 from terrain.lights import CONE_EDGE, Lamp
 from terrain.scene import Scene
-from terrain.shading import LEAF_GLOW, LEAST_SKY, daylight_of, dusk_of, exposure_of, night_of
+from terrain.shading import LEAF_GLOW, daylight_of, exposure_of, night_of
+from terrain.shading_loops import LEAST_SKY, dusk_of
 from terrain.srgb import srgb_of_linear
 
 NAMED_LAMPS = 8

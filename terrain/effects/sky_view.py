@@ -26,7 +26,8 @@ from terrain.ground.sky_view_factor import SkyView, hidden_on, pyramid_level, sk
 from terrain.ground.surface import map_pixel_m
 from terrain.ground.visible_cells import block_slices, visible_cells
 from terrain.scene import Scene
-from terrain.shading import daylight_of, dusk_of, in_shade, look_of, most_sky, night_of, srgb_encoded
+from terrain.shading import daylight_of, in_shade, look_of, most_sky, night_of, srgb_encoded
+from terrain.shading_loops import dusk_of
 from terrain.style import tint_table
 
 COMPARED_SHADES = 4096

@@ -37,18 +37,8 @@ from terrain.ground.elevation import Elevation
 from terrain.ground.visible_cells import CellRange, block_slices, visible_cells
 from terrain.level.level import SUN
 from terrain.scene import Scene
-from terrain.shading import (
-    SHORE_M,
-    daylight_of,
-    dusk_of,
-    exposure_of,
-    in_shade,
-    look_of,
-    night_of,
-    shoulder,
-    srgb_encoded,
-    water_in,
-)
+from terrain.shading import SHORE_M, daylight_of, exposure_of, in_shade, look_of, night_of, srgb_encoded, water_in
+from terrain.shading_loops import dusk_of, shoulder
 from terrain.sky import sky_color, sky_of
 
 WIND_M_S = 3.0
