@@ -60,8 +60,8 @@ UNSEEN = 0.008
 """Share of the direct sun whose loss no pixel shows.
 
 Light that loses a share ``a`` loses ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``, of its sRGB code, which is at most 1.055 (with
-the code's own offset; less still in the linear part near black, and where the shoulder of ``terrain.shading_loops`` holds it). That is a
-step of 1/255 for ``a`` = 0.0089; the rest is left for the 4096 steps of the table that encodes.
+the code's own offset; less still in the linear part near black, and where the shoulder of ``terrain.shading_loops`` holds it). That
+is a step of 1/255 for ``a`` = 0.0089; the rest is left for the 4096 steps of the table that encodes.
 """
 
 SEEN_LEAST = 0.25

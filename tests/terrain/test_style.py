@@ -9,8 +9,8 @@ from shadows.render import render_frame
 from terrain.errors import InputError, LevelError
 from terrain.gbuffer.picture import geometry_of
 from terrain.scene import Scene
-from terrain.shading import LEVEL_GROUND, SKY_SHARE, _on_slope, _sky_on_slope, _towards_sun, shade
-from terrain.shading_loops import LEAST_SKY, SHOULDER, luminance_of, shoulder
+from terrain.shading import LEVEL_GROUND, SKY_SHARE, shade
+from terrain.shading_loops import LEAST_SKY, SHOULDER, _on_slope, _sky_on_slope, _towards_sun, luminance_of, shoulder
 from terrain.srgb import linear_of_srgb
 from terrain.style import STYLES, TINT_LOW_M, TINT_STEP_M, tint_table
 from tests.render import plan_of
