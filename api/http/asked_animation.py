@@ -20,7 +20,8 @@ from terrain.errors import Fault, InputError
 from terrain.geo.sun_path import as_utc, check_times
 from terrain.level.camera_file import CameraPathSpec
 from terrain.level.level import Shadows, parse_sun
-from terrain.level.parts import Model, SlopeExaggeration, SunSpec
+from terrain.level.model import Model
+from terrain.level.parts import SlopeExaggeration, SunSpec
 from terrain.level.setting import settings_of
 from terrain.scene import MAX_PERSPECTIVE_PX
 
