@@ -11,10 +11,10 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from terrain.level.model import Coordinate, MapPosition, Model
 
-LEAST_STEP_S = 0.001
+LEAST_KEY_STEP_S = 0.001
 """Time between two keys of a path, at least."""
 
-MOST_KEYS = 10_000
+MOST_PATH_KEYS = 10_000
 """Of one path."""
 
 ClockSeconds = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -89,8 +89,8 @@ def _wrong_keys(keys: Sequence[_Key], loop: bool) -> list[tuple[KeyPath, object,
         return [(("path",), [key.model_dump(exclude_none=True) for key in keys], "two keys at least")]
     wrong: list[tuple[KeyPath, object, str]] = []
     for number, (before, after) in enumerate(pairwise(keys), start=1):
-        if not after.seconds - before.seconds >= LEAST_STEP_S:
-            allowed = f"seconds that rise from key to key, by {LEAST_STEP_S} at least: the one before has {before.seconds:g}"
+        if not after.seconds - before.seconds >= LEAST_KEY_STEP_S:
+            allowed = f"seconds that rise from key to key, by {LEAST_KEY_STEP_S} at least: the one before has {before.seconds:g}"
             wrong.append((("path", number, "seconds"), after.seconds, allowed))
     if loop:
         for name in ("position", "target"):
@@ -113,7 +113,7 @@ class MeshMotion(_Path):
     """
 
     spin: float = Field(default=0.0, ge=-1e6, le=1e6)
-    path: Annotated[tuple[PathKey, ...], Field(max_length=MOST_KEYS)] | None = None
+    path: Annotated[tuple[PathKey, ...], Field(max_length=MOST_PATH_KEYS)] | None = None
     face: Literal["fixed", "along"] = "fixed"
 
     @model_validator(mode="after")
@@ -141,7 +141,7 @@ class MeshMotion(_Path):
 class LampMotion(_Path):
     """How a lamp moves by the level's clock: its keys say where its position, a spot's target or both are, all of them the same."""
 
-    path: Annotated[tuple[LampKey, ...], Field(max_length=MOST_KEYS)]
+    path: Annotated[tuple[LampKey, ...], Field(max_length=MOST_PATH_KEYS)]
 
     @model_validator(mode="after")
     def _right_path(self) -> Self:
