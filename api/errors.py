@@ -77,7 +77,7 @@ class UnfinishedError(LaterError):
     """The animation is not drawn yet."""
 
 
-class LevelChangedError(SkuggaError):
+class LevelChangedError(BusyError):
     """The level has changed while an animation of it was drawn: ask for it again."""
 
 
