@@ -142,7 +142,7 @@ def frame_moments(scene: Scene, request: FilmRequest, most_frames: int = MOST_FR
         raise InputError("frames", span.frames, f"1 to {most_frames} frames")
     if span.start is not None:
         scene.with_sun(SunSpec(time=span.start))  # a flat world has no dates
-    first_second = scene.objects.seconds if span.first_second is None else span.first_second
+    first_second = scene.seconds if span.first_second is None else span.first_second
     path = None if request.path is None else camera_path(request.path, scene.place, span.start)
     resting = None if path is not None else scene.view(request.view, request.bounds, request.crs, request.size)
     moments: list[FrameMoment] = []

@@ -86,6 +86,18 @@ def test_frames_of_a_moving_camera_and_what_moves_are_stills(gl, figure):
         assert frame.plan.view == "path" and (frame.color == still_of(figure, frame)).all()
 
 
+def test_a_film_begins_when_its_scene_is_whatever_moves(tmp_path):
+    """A lamp alone, which leaves meshes as they are; and the frames' lamps are where the clock puts them."""
+    keys = [{"seconds": 0, "position": [-20, 0, 9]}, {"seconds": 10, "position": [20, 0, 9]}]
+    lit = {**FIGURE, "meshes": [{"generate": "tetrahedra"}], "lights": {"lamp": {"kind": "omni", "motion": {"path": keys}}}}
+    (tmp_path / "lit.yaml").write_text(json.dumps(lit), encoding="utf-8")
+    scene = build_scene(load_level(tmp_path / "lit.yaml"))
+    for at, begins in ((scene, 2.0), (scene.at_second(5.0), 5.0)):
+        moments = frame_moments(at, FilmRequest(FilmSpan(2, 5.0), "eye"))
+        assert [moment.second for moment in moments] == [begins, begins + 5.0]
+    assert [moment.scene(scene).lamps["lamp"].position_earth_m[0] for moment in moments] == pytest.approx([0.0, 20.0])
+
+
 def test_a_frame_is_drawn_when_it_is_asked_for(figure, monkeypatch):
     drawn = []
     monkeypatch.setattr(film, "render_frame", lambda scene, view, plan: drawn.append(1) or render_frame(scene, view, plan))
