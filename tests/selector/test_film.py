@@ -192,7 +192,7 @@ WRONG = {
     "no bounds of a perspective": (FilmRequest(FilmSpan(2, 1.0), "eye", bounds=(0, 0, 1, 1)), "bounds:", "perspective view"),
     "under the ground": (
         FilmRequest(FilmSpan(5, 1.0), path=low(-3.3333333333333335)),
-        "path, frame 4 (3 s): eye: '-1.25 m above the ground'",
+        "path, frame 4 (3 s): eye: '-2.03 m above the ground'",
         "above",
     ),
     "a large picture": (FilmRequest(FilmSpan(5, 1.0), path=ROUND, size=(5000, 9)), "size: '5000x9'", "at most 4096"),
