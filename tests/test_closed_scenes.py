@@ -22,11 +22,14 @@ from terrain.cache import caches, clear_caches
 from terrain.casters.horizon_bound import patch_ground
 from terrain.casters.reach import Patch
 from terrain.describe import describe
+from terrain.effects import ground_detail
 from terrain.facts.relief_rays import overview_probes
 from terrain.facts.visible_points import probes_in_map
 from terrain.gbuffer.bare_ground import bare_ground
 from terrain.gbuffer.bare_nodes import bare_nodes
+from terrain.gbuffer.ground_mesh import ground_mesh
 from terrain.gbuffer.picture import geometry_of
+from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from terrain.level.level import load_level
@@ -99,6 +102,9 @@ def draw_with_everything(scene: Scene) -> list[object]:
     buffer, real = geometry_of(scene, view), truth_of_view(scene, view, "sun")
     block = geometry_of(scene, scene.view(size=(64, 64)))
     attached(block, scene)
+    assert isinstance(view, PerspectiveView)
+    ground_mesh(scene, view, 100)  # decimated
+    ground_detail._detail(buffer, scene, view)  # which a level with imagery leaves out
     texel_footprint_px(scene, plan.steps_under("sun")[0], buffer, 1.0)
     nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
     bare_nodes(scene, nodes, 1)
