@@ -34,7 +34,7 @@ from terrain.describe import describe
 from terrain.gbuffer.picture import geometry_of
 from terrain.gl.device import device
 from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from terrain.scene import build_scene
 
 SIDE_M = 10_000.0
 CELL_M = 10.0
@@ -61,8 +61,8 @@ def line(row: dict) -> str:
     return f"| {row['level']} | {row['view']} | {row['casters']} | {shares} | {row['edge_p95']:.2f} |"
 
 
-def wooded_hills(folder: Path, trees: int) -> Scene:
-    """10 x 10 km of hills in UTM zone 32N under one wood of some number of trees."""
+def wooded_hills(folder: Path, trees: int) -> Path:
+    """A level in a folder: 10 x 10 km of hills in UTM zone 32N under one wood of some number of trees."""
     y, x = np.mgrid[: int(SIDE_M / CELL_M), : int(SIDE_M / CELL_M)] * CELL_M
     heights = 300 + 120 * np.sin(x / 900) * np.cos(y / 1100) + 40 * np.sin(x / 210 + y / 330) + 15 * np.cos(y / 90)
     west, north = 500_000.0, 5_210_000.0
@@ -94,12 +94,12 @@ def wooded_hills(folder: Path, trees: int) -> Scene:
     }
     path = folder / "hills.yaml"
     path.write_text(json.dumps(level), encoding="utf-8")
-    return build_scene(load_level(path))
+    return path
 
 
 def trees(count: int, repeats: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        scene = wooded_hills(Path(folder), count)
+        scene = build_scene(load_level(wooded_hills(Path(folder), count)))
         print(f"{device().renderer}; {len(scene.population.trees.rank)} trees", flush=True)
         for name in scene.loaded.level.views:
             times: list[float] = []
@@ -121,7 +121,7 @@ def thinning(count: int) -> None:
         for name in ("low", "high"):
             shares = []
             for stand_module.ALL_TREES_PX in (1e-6, whole_px):
-                scene = wooded_hills(Path(folder), count)  # anew: stands are kept by their scene
+                scene = build_scene(load_level(wooded_hills(Path(folder), count)))  # anew: stands are kept by their scene
                 view, drawn, parts = scene.view(name), 0, []
                 for row, col in WINDOW_ORIGINS:
                     buffer = geometry_of(scene, view.part(row, col, WINDOW_PX, WINDOW_PX))

@@ -1,0 +1,216 @@
+"""What ``benchmarks.frames`` measured, as targets met or missed and as Markdown tables."""
+
+from __future__ import annotations
+
+import re
+import statistics
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+Row = dict[str, Any]
+"""A frame's costs as ``benchmarks.frame_worker`` says them."""
+
+Rows = dict[str, list[Row]]
+"""Side -> its rows, one a turn; the sides' rows of one place in the lists were drawn one after the other."""
+
+NOW, BASE, YARDSTICK = "now", "before", "yardstick"
+
+MOVES = {
+    "new": "sun and camera",
+    "sun": "the sun",
+    "camera": "the camera",
+    "resting": "nothing",
+    "all new": "all is new",
+}
+"""What is different from the frame before, by the names of the measurements."""
+
+BEGIN, END = "<!-- frames: what follows is written by python -m benchmarks.frames -->", "<!-- frames: up to here -->"
+
+
+class FrameKey(NamedTuple):
+    """A kind of frame: the picture, the plan's name, and what has moved."""
+
+    picture: str
+    plan: str
+    move: str
+
+
+class Target(NamedTuple):
+    """A figure that was asked for, and what was found; one that does not count stands beside another that does."""
+
+    what: str
+    most: float
+    wall: float
+    cpu: float | None = None
+    unit: str = ""
+    counts: bool = True
+
+    @property
+    def met(self) -> bool:
+        """Whether the wall clock (or what else ``wall`` is) says so."""
+        return self.wall <= self.most
+
+    @property
+    def line(self) -> str:
+        """One line of text."""
+        cpu = "" if self.cpu is None else f" (CPU time {self.cpu:.2f})"
+        word = "beside" if not self.counts else "met   " if self.met else "MISSED"
+        return f"{word} {self.what}: {self.wall:.2f}{self.unit}{cpu}, at most {self.most:g}{self.unit}"
+
+
+def paired_ratio(ours: Sequence[Row], theirs: Sequence[Row], value: str = "ms") -> float:
+    """The median of the ratios of two lists of rows that were drawn in turns: the machine's other work is in both of a turn."""
+    return statistics.median(one[value] / other[value] for one, other in zip(ours, theirs, strict=True))
+
+
+def median_of(rows: Sequence[Row], value: str) -> float:
+    """The median of a value of some rows."""
+    return float(statistics.median(row[value] for row in rows))
+
+
+def median_passes(rows: Sequence[Row]) -> dict[str, float]:
+    """Milliseconds of each pass, medians, in the order of the first frame."""
+    names = list(dict.fromkeys(name for row in rows for name in row["passes_ms"]))
+    return {name: statistics.median(row["passes_ms"].get(name, 0.0) for row in rows) for name in names}
+
+
+def frame_targets(frames: dict[FrameKey, Rows], firsts: dict[str, Rows]) -> list[Target]:
+    """The targets of which something was measured."""
+    found: list[Target] = []
+
+    def add(what: str, most: float, ours: Sequence[Row] | None, theirs: Sequence[Row] | None, counts: bool = True) -> None:
+        if ours and theirs:
+            wall, cpu = (paired_ratio(ours, theirs, value) for value in ("ms", "cpu_ms"))
+            found.append(Target(what, most, wall, cpu, counts=counts))
+
+    def rows(picture: str, move: str, side: str = NOW, plan: str = "planned") -> list[Row] | None:
+        return frames.get(FrameKey(picture, plan, move), {}).get(side)
+
+    for move in ("new", "resting"):
+        said = f"SpatialAce as planned, {MOVES[move]} moved"
+        for name, taps in (("512, 1 tap", "1 tap"), ("512, 3 x 3 taps", "3 x 3 taps")):
+            sticks = rows("SpatialAce", name, YARDSTICK, "yardstick")
+            counts = move == "new" and taps == "1 tap"
+            add(f"{said} / yardstick, 512 map, {taps}", 3.0, rows("SpatialAce", move), sticks, counts)
+        add(f"{said} / before", 0.35, rows("SpatialAce", move), rows("SpatialAce", move, BASE), move == "new")
+    for picture in ("valley", "village"):
+        for move in ("new", "resting"):
+            said = f"wooded {picture} as planned, {MOVES[move]} moved / before"
+            add(said, 0.4, rows(picture, move), rows(picture, move, BASE), move == "new")
+    for picture, sides in firsts.items():
+        ours = sides[NOW]
+        for value, said in (("ms", "frame"), ("answer_ms", "frame with its plan")):
+            ratio = statistics.median(row["first"][value] / row["warm"][value] for row in ours)
+            cpu = statistics.median(row["first"][f"cpu_{value}"] / row["warm"][f"cpu_{value}"] for row in ours)
+            found.append(Target(f"{picture}: first {said} after start / a warm one", 2.0, ratio, cpu, counts=value == "ms"))
+    for picture in ("SpatialAce", "valley", "village"):
+        add(f"{picture}: the sun moves / sun and camera do", 0.6, rows(picture, "sun"), rows(picture, "new"))
+        add(f"{picture}: the camera moves / sun and camera do", 0.7, rows(picture, "camera"), rows(picture, "new"))
+    million = rows("a million trees", "new")
+    add("a million trees / before", 0.5, million, rows("a million trees", "new", BASE))
+    if million:
+        found.append(Target("a million trees: peak memory", 1.2, max(row["peak_gb"] for row in million), unit=" GB"))
+    return found
+
+
+def as_markdown(
+    result: dict[str, Any], frames: dict[FrameKey, Rows], firsts: dict[str, Rows], differences: dict[FrameKey, Row]
+) -> str:
+    """All tables. ``differences`` are those of pictures from the other commit's."""
+    parts = [
+        f"{result['renderer']}, {result['cpus']} CPU cores, load {result['load']:.1f}, {result['repeats']} turns; before: "
+        f"{result['base'] or 'not measured'}.",
+        _target_table(frame_targets(frames, firsts)),
+        _frame_table(frames, differences),
+        _plan_lines(result["plans"]),
+        _first_table(firsts) if firsts else "",
+        *(_pass_table(key, sides) for key, sides in frames.items() if key.move == "new"),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def put_between_marks(text: str, table: str) -> str:
+    """A page with what stands between its marks replaced. Raises ``ValueError`` where it has none."""
+    pattern = re.compile(re.escape(BEGIN) + ".*?" + re.escape(END), re.DOTALL)
+    if not pattern.search(text):
+        raise ValueError(f"no marks: {BEGIN} ... {END}")
+    return pattern.sub(lambda _: f"{BEGIN}\n\n{table.strip()}\n\n{END}", text, count=1)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _target_table(targets: Sequence[Target]) -> str:
+    rows = [
+        [each.what, f"{each.wall:.2f}{each.unit}", "" if each.cpu is None else f"{each.cpu:.2f}", f"{each.most:g}{each.unit}",
+         "" if not each.counts else "yes" if each.met else "**no**"]
+        for each in targets
+    ]  # fmt: skip
+    return _table(["what", "measured", "by CPU time", "at most", "met"], rows)
+
+
+def _plan_lines(plans: dict[str, dict[str, Any]]) -> str:
+    lines = []
+    for picture, by_side in plans.items():
+        headlines = {side: planned["plans"]["planned"]["algorithms"].replace(",", ", ") for side, planned in by_side.items()}
+        said = [headlines[NOW], *(f"{text} before" for side, text in headlines.items() if text != headlines[NOW])]
+        new_ms = " to ".join(f"{statistics.median(by_side[side]['new_view_ms']):.0f}" for side in (BASE, NOW) if side in by_side)
+        lines.append(f"* {picture} is planned as {'; '.join(said)}. A new view's plan: {new_ms} ms.")
+    return "\n".join(lines)
+
+
+def _frame_table(frames: dict[FrameKey, Rows], differences: dict[FrameKey, Row]) -> str:
+    head = ["picture", "plan", "moved", "before, ms", "now, ms", "ratio", "CPU before", "CPU now", "ratio", "of the yardstick",
+            "read-backs", "draws", "same picture", "same shadow"]  # fmt: skip
+    rows = []
+    for key, sides in frames.items():
+        ours, base = sides.get(NOW) or sides[YARDSTICK], sides.get(BASE)
+        stick = frames.get(FrameKey(key.picture, "yardstick", "512, 1 tap"), {}).get(YARDSTICK)
+
+        def both(value: Callable[[Sequence[Row]], str], ours: Sequence[Row] = ours, base: Sequence[Row] | None = base) -> str:
+            return value(ours) if base is None or value(base) == value(ours) else f"{value(base)} to {value(ours)}"
+
+        rows.append([
+            key.picture, key.plan, MOVES.get(key.move, key.move),
+            "" if base is None else f"{median_of(base, 'ms'):.1f}", f"{median_of(ours, 'ms'):.1f}",
+            "" if base is None else f"{paired_ratio(ours, base):.2f}",
+            "" if base is None else f"{median_of(base, 'cpu_ms'):.1f}", f"{median_of(ours, 'cpu_ms'):.1f}",
+            "" if base is None else f"{paired_ratio(ours, base, 'cpu_ms'):.2f}",
+            "" if stick is None else f"{paired_ratio(ours, stick):.1f}",
+            both(lambda rows: f"{median_of(rows, 'reads'):.0f} ({median_of(rows, 'read_mib'):.0f} MiB)"),
+            both(lambda rows: f"{median_of(rows, 'draws'):.0f}"),
+            *_sameness(differences.get(key)),
+        ])  # fmt: skip
+    return _table(head, rows)
+
+
+def _sameness(differs: Row | None) -> list[str]:
+    """How many frames have the same colours and the same visibilities, and how the last one differs."""
+    if differs is None:
+        return ["", ""]
+    color = f"; {differs['pixels']} pixels differ, by up to {differs['most']}" if differs["most"] else ""
+    classes = f"; {differs['classes']} pixels of another class" if differs["classes"] else ""
+    count = differs["frames"]
+    return [f"{differs['color']} of {count}{color}", f"{differs['visibility']} of {count}{classes}"]
+
+
+def _first_table(firsts: dict[str, Rows]) -> str:
+    head = ["picture", "side", "imports, s", "scene, s", "plan, s", "first frame, s", "a new view's plan, s", "its frame, s"]
+    rows = []
+    for picture, sides in firsts.items():
+        for side, each in sides.items():
+            values = [
+                [row["import_ms"] for row in each], [row["scene_ms"] for row in each],
+                *([row[when][what] for row in each] for when in ("first", "warm") for what in ("plan_ms", "ms")),
+            ]  # fmt: skip
+            rows.append([picture, side, *(f"{statistics.median(value) / 1000.0:.2f}" for value in values)])
+    return _table(head, rows)
+
+
+def _pass_table(key: FrameKey, sides: Rows) -> str:
+    found = {side: median_passes(sides[side]) for side in (BASE, NOW) if side in sides}
+    names = list(dict.fromkeys(name for passes in found.values() for name in passes))
+    rows = [[name, *(f"{passes[name]:.1f}" if name in passes else "" for passes in found.values())] for name in names]
+    return f"{key.picture}, {key.plan}, {MOVES[key.move]} moved:\n\n" + _table(["pass", *(f"{side}, ms" for side in found)], rows)

@@ -1,0 +1,240 @@
+"""A process that draws frames of one view and says what they cost: of the packages that its ``PYTHONPATH`` names.
+
+    python -P benchmarks/frame_worker.py LEVEL VIEW WIDTHxHEIGHT OVERRIDES
+
+It is started by ``benchmarks.frames``, once for this checkout and once for each other that it is held against, and so it
+imports nothing of the benchmarks before it is asked for the yardstick, and of the packages only what older ones have, too.
+LEVEL is a bundled level's name or a file, OVERRIDES a JSON object: name of a plan -> what is asked of it. Each line that it
+reads is a JSON object with ``do``:
+
+``plan``
+    make the plans, each of the view as it stands;
+``frame``
+    draw a frame by the plan ``plan``, with sun and camera at their places of numbers ``sun`` and ``camera``; with ``clear``, a
+    list of lifetimes, caches are emptied before;
+``yardstick``
+    draw the same by ``benchmarks.yardstick``, with a depth map of ``map_size`` texels (0: none) and ``taps``;
+``save``
+    write the picture drawn last to ``path``, a PNG file, or with its visibilities (n, rows, cols) a NumPy file.
+
+For each it answers a line: a JSON object of what that cost.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+STARTED = time.perf_counter()
+
+import moderngl  # noqa: E402
+import numpy as np  # noqa: E402
+
+from api.catalogue import find_level  # noqa: E402
+from selector.select import plan_of_view  # noqa: E402
+from shadows.render import render_frame  # noqa: E402
+from terrain.cache import clear_caches  # noqa: E402
+from terrain.geo.camera import PerspectiveView  # noqa: E402
+from terrain.gl.programs import recorded  # noqa: E402
+from terrain.level.level import load_level  # noqa: E402
+from terrain.level.parts import SunSpec  # noqa: E402
+from terrain.scene import Scene, build_scene  # noqa: E402
+
+IMPORTED = time.perf_counter()
+
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+"""Places number n are shares n * GOLDEN, less whole ones, of the ways below: never one twice, and none near the one before."""
+
+SUN_WAY_DEG, SUN_WAY_MIN = 4.0, 16.0
+"""What the sun moves along: azimuths from the level's own on, or minutes where the level has a time. From one place to the next it
+goes two fifths of it at least, as it does in a film of a day in steps of six minutes and more.
+"""
+
+CAMERA_WAY_M = 3.0
+"""What the camera moves along, to its right: steps of 1.1 to 1.9 m."""
+
+
+class Costs:
+    """What is counted while a frame is drawn."""
+
+    def __init__(self) -> None:
+        self.reads, self.read_bytes, self._within = 0, 0, 0
+
+    @contextmanager
+    def read(self, array: Any) -> Iterator[None]:
+        """A read-back; those that one makes are not counted again."""
+        self._within += 1
+        try:
+            yield
+        finally:
+            self._within -= 1
+        if not self._within:
+            self.reads += 1
+            self.read_bytes += array.nbytes if isinstance(array, np.ndarray) else 0
+
+
+COSTS = Costs()
+
+
+def count_reads() -> None:
+    """Count all that comes back from OpenGL from now on, by whatever call of moderngl's or PyOpenGL's."""
+    from OpenGL import GL
+
+    kinds = ("Framebuffer", "Texture", "TextureArray", "Texture3D", "TextureCube", "Buffer")
+    found = [(getattr(moderngl, kind), name) for kind in kinds for name in ("read", "read_into", "read_chunks", "read_chunks_into")]
+    found += [(GL, name) for name in ("glReadPixels", "glGetTexImage", "glGetBufferSubData", "glMapBufferRange")]
+    for owner, name in found:
+        if hasattr(owner, name):
+            setattr(owner, name, _counted(getattr(owner, name)))
+
+
+def _counted(call: Any) -> Any:
+    def counted(*args: Any, **kwargs: Any) -> Any:
+        arrays = [each for each in (*args, *kwargs.values()) if isinstance(each, np.ndarray)]
+        with COSTS.read(arrays[-1] if arrays else None):
+            return call(*args, **kwargs)
+
+    return counted
+
+
+class Place:
+    """The level's sun and view, and others of them by number."""
+
+    def __init__(self, scene: Scene, view: PerspectiveView) -> None:
+        self.scene, self.view = scene, view
+        self._moved: dict[int, Scene] = {0: scene}
+
+    def under(self, number: int) -> Scene:
+        """The scene under the sun of a number; 0: its own."""
+        if number not in self._moved:
+            sun, share = self.scene.sun, number * GOLDEN % 1.0
+            assert sun is not None
+            if sun.time is not None:
+                spec = SunSpec(time=sun.time + timedelta(minutes=SUN_WAY_MIN * share))
+            else:
+                spec = SunSpec(azimuth=sun.azimuth_deg + SUN_WAY_DEG * share, altitude=sun.altitude_deg)
+            self._moved = {0: self.scene, number: self.scene.with_sun(spec)}  # frames under one sun are of one scene, as in a film
+        return self._moved[number]
+
+    def seen_from(self, number: int) -> PerspectiveView:
+        """The view from the place of a number; 0: its own."""
+        if number == 0:
+            return self.view
+        right = self.view.earth_from_camera[:, 0]
+        return replace(self.view, eye_earth_m=self.view.eye_earth_m + CAMERA_WAY_M * (number * GOLDEN % 1.0) * right)
+
+
+class Worker:
+    """A view of a level with its plans."""
+
+    def __init__(self, level: str, view: str, size: tuple[int, int], overrides: dict[str, dict[str, Any]]) -> None:
+        start = time.perf_counter()
+        scene = build_scene(load_level(Path(level) if os.sep in level else find_level(level)))
+        shown = scene.view(view, size=size)
+        assert isinstance(shown, PerspectiveView)
+        self.place, self.name, self.overrides = Place(scene, shown), view, overrides
+        self.plans: dict[str, Any] = {}
+        self.yardsticks: dict[tuple[int, int], Any] = {}
+        self.picture: np.ndarray | None = None
+        self.visibility = np.zeros((0, 0, 0), np.float32)
+        self.built_ms = 1000.0 * (time.perf_counter() - start)
+
+    def plan(self, asked: dict[str, Any]) -> dict[str, Any]:
+        scene, view = self.place.under(asked.get("sun", 0)), self.place.seen_from(asked.get("camera", 0))
+        wall, cpu = time.perf_counter(), time.process_time()
+        for name in asked.get("plans", self.overrides):
+            self.plans[name] = plan_of_view(scene, view, self.name, self.overrides[name])
+        took: dict[str, Any] = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
+        from terrain.gl.device import renderer_and_version
+
+        took["renderer"] = " ".join(renderer_and_version())
+        return {**took, "plans": {name: {"algorithms": plan.headline, "passes": plan.passes} for name, plan in self.plans.items()}}
+
+    def frame(self, asked: dict[str, Any]) -> dict[str, Any]:
+        if asked.get("clear"):
+            clear_caches(*asked["clear"])
+        scene, view = self.place.under(asked.get("sun", 0)), self.place.seen_from(asked.get("camera", 0))
+        self.picture, self.visibility = None, self.visibility[:0]  # the last one goes before the next is made, as in a service
+        COSTS.reads, COSTS.read_bytes = 0, 0
+        wall, cpu = time.perf_counter(), time.process_time()
+        with recorded() as calls:
+            frame = render_frame(scene, view, self.plans[asked["plan"]])
+        took = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
+        self.picture, self.visibility = frame.color, np.stack(list(frame.visibilities.values()))
+        passes = {record.name: record.ms for record in frame.passes}
+        passes["outside of passes"] = took["ms"] - sum(passes.values())
+        triangles = sum(record.triangles for record in frame.passes)
+        counts = {"reads": COSTS.reads, "read_mib": COSTS.read_bytes / 2**20, "draws": len(calls), "triangles": triangles}
+        digests = {"color": digest_of([frame.color]), "visibility": digest_of([self.visibility])}
+        return {**took, **counts, **digests, "passes_ms": passes, "peak_gb": peak_gb()}
+
+    def yardstick(self, asked: dict[str, Any]) -> dict[str, Any]:
+        from benchmarks.yardstick import Yardstick
+
+        scene, view = self.place.under(asked.get("sun", 0)), self.place.seen_from(asked.get("camera", 0))
+        key = asked["map_size"], asked["taps"]
+        if key not in self.yardsticks:
+            self.yardsticks[key] = Yardstick(self.place.scene, self.place.view, *key)
+            for _ in range(3):  # compiles, and uploads
+                self.yardsticks[key].draw(scene, view)
+        stick = self.yardsticks[key]
+        COSTS.reads, COSTS.read_bytes = 0, 0
+        wall, cpu = time.perf_counter(), time.process_time()
+        with recorded() as calls:
+            self.picture = stick.draw(scene, view)[..., :3]
+        took = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
+        counts = {"reads": COSTS.reads, "read_mib": COSTS.read_bytes / 2**20, "draws": len(calls), "triangles": stick.triangles}
+        return {**took, **counts, "passes_ms": {}, "peak_gb": peak_gb()}
+
+    def save(self, asked: dict[str, Any]) -> dict[str, Any]:
+        from PIL import Image
+
+        assert self.picture is not None
+        if asked["path"].endswith(".npz"):
+            np.savez(asked["path"], color=self.picture, visibility=self.visibility)
+        else:
+            Image.fromarray(self.picture).save(asked["path"])
+        return {}
+
+
+def digest_of(arrays: list[np.ndarray]) -> str:
+    """What tells some arrays from others."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def peak_gb() -> float:
+    """The most memory that this process has held, in 10^9 bytes. (``getrusage`` would count what started it.)"""
+    with open("/proc/self/status", encoding="ascii") as status:
+        (line,) = (line for line in status if line.startswith("VmHWM:"))
+    return 1024.0 * float(line.split()[1]) / 1e9
+
+
+def main() -> None:
+    """Answer lines until there are no more."""
+    level, view, size, overrides = sys.argv[1:]
+    width, height = (int(side) for side in size.split("x"))
+    answers, sys.stdout = sys.stdout, sys.stderr  # whatever is printed is no answer
+    worker = Worker(level, view, (width, height), json.loads(overrides))
+    count_reads()
+    ready = {"import_ms": 1000.0 * (IMPORTED - STARTED), "scene_ms": worker.built_ms}
+    print(json.dumps(ready), file=answers, flush=True)
+    for line in sys.stdin:
+        asked = json.loads(line)
+        does = {"plan": worker.plan, "frame": worker.frame, "yardstick": worker.yardstick, "save": worker.save}
+        print(json.dumps(does[asked["do"]](asked)), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()

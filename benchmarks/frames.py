@@ -1,0 +1,297 @@
+"""What frames of perspective views cost, beside a minimal renderer of the same scene and beside another commit.
+
+    python -m benchmarks.frames [--base FOLDER] [--pictures SpatialAce valley ...] [--repeats 15] [--json FILE] [--markdown FILE]
+
+All that is compared is drawn in turns, each side in a process of its own: this checkout, ``--base``, which is a clone of
+another commit, and the yardstick (``benchmarks/yardstick.py``): the same ground, meshes and trees, camera and sun, forward,
+with Lambert's cosine and one colour of sky, without shadows and with a depth map of 512 x 512 texels of 16 bits that is drawn
+anew for each frame, compared in one texel or in 3 x 3 of them. All of it is uploaded before, and each picture is read back
+within the clock. Ratios are medians of those of frames that were drawn one after the other; by the wall clock and by the CPU
+time of all threads. Only ratios of one run are worth comparing. The target is held against the yardstick with one tap, which is
+what our own plan has there; lines that say "beside" are no targets.
+
+Pictures: the SpatialAce level's ``main`` at 800 x 600 as planned (by the rules that plan on a device without a calibration, as
+``skugga render`` does there), by ``shadow_map`` alone and without cast shadows; the views ``valley`` and ``village`` of the
+wooded level at 1280 x 1024 and 10 x 10 km under a million trees from 60 m above the ground at 800 x 600, as planned. Plans are
+made once, outside of the clock, from the level's own view and sun, as for a film; what a plan for another place costs is told
+below the frames.
+
+What moves from one frame to the next:
+
+``new``
+    the sun by 1.5 or 2.5 degrees and the camera by 1.1 or 1.9 m, to places where they never were: nothing that was made from
+    either is there. What is kept is what follows from the level alone: its nodes, meshes, trees, leaves, programs.
+``sun``, ``camera``
+    one of them. All that was made for the other one in the frame before may be kept, in the caches of ``terrain.cache`` that
+    last as long as ``light`` (what a moving sun makes anew) and as ``scene``, and on the device.
+``resting``
+    nothing: the same frame again.
+``all new``
+    the caches of ``light`` and ``scene`` are emptied before the same frame: what follows from the level's files is made anew,
+    too.
+
+With ``--base``, each frame's colours and visibilities are held against those of the other commit, bit by bit; where they
+differ, the number of pixels that do, and of those that are lit in one alone, is that of the last frame.
+
+A first frame is that of a process just started, numba's cache full: the level is loaded, the plan is made, the frame is drawn;
+then five new views are planned and drawn. What counts is the frame; the time until it is there, with its plan, stands beside
+it. Peak memory is that of a whole process that plans and draws new frames of the million trees.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from benchmarks.frame_tables import BASE, BEGIN, NOW, YARDSTICK, FrameKey, Row, Rows, as_markdown, frame_targets, put_between_marks
+from benchmarks.scenes import wooded_hills
+
+ROOT = Path(__file__).resolve().parents[1]
+WORKER = Path(__file__).with_name("frame_worker.py")
+
+MILLION = "a million trees"
+STICKS = {"unshadowed": (0, 1), "512, 1 tap": (512, 1), "512, 3 x 3 taps": (512, 3)}
+"""Sides of the yardstick's depth map and of its square of taps."""
+
+ALL_MOVES = ("new", "sun", "camera", "resting", "all new")
+FIRST_REPEATS, WARM_AFTER_FIRST = 3, 5
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A view to draw, and by which plans: name -> what is asked of it, and what moves under it; and how many turns that takes for
+    each of the SpatialAce level's.
+    """
+
+    level: str
+    view: str
+    size: tuple[int, int]
+    plans: dict[str, dict[str, Any]] = field(default_factory=lambda: {"planned": {}})
+    moves: dict[str, tuple[str, ...]] = field(default_factory=lambda: {"planned": ALL_MOVES})
+    turns_share: float = 1.0
+    has_first: bool = False
+
+
+PICTURES = {
+    "SpatialAce": Picture(
+        "spatialace", "main", (800, 600),
+        {"planned": {}, "shadow_map": {"algorithm": "shadow_map"}, "none": {"algorithm": "none"}},
+        {"planned": ALL_MOVES, "shadow_map": ("new", "resting"), "none": ("new", "resting")},
+        has_first=True,
+    ),
+    "valley": Picture("jacksboro_wooded", "valley", (1280, 1024), turns_share=0.5, has_first=True),
+    "village": Picture("jacksboro_wooded", "village", (1280, 1024), turns_share=0.5),
+    MILLION: Picture("", "low", (800, 600), moves={"planned": ("new",)}, turns_share=0.5),
+}  # fmt: skip
+
+
+class Side:
+    """A process that draws one picture's frames, of the code in a folder."""
+
+    def __init__(self, process: subprocess.Popen[str], said: IO[bytes]) -> None:
+        self._process, self._said = process, said
+        self.ready = self._answer()
+
+    def ask(self, do: str, **asked: Any) -> Row:
+        """Let it do something, and say what that cost. Raises ``RuntimeError`` where it cannot."""
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps({"do": do, **asked}) + "\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            pass
+        return self._answer()
+
+    def _answer(self) -> Row:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            self._process.wait()
+            self._said.seek(0)
+            raise RuntimeError(f"{self._process.args}: {self._said.read().decode(errors='replace')[-4000:]}")
+        return json.loads(line)
+
+
+@contextmanager
+def side(folder: Path, picture: Picture, level: str) -> Iterator[Side]:
+    """A side, until it is no longer needed."""
+    size = f"{picture.size[0]}x{picture.size[1]}"
+    command = [sys.executable, "-P", str(WORKER), level, picture.view, size, json.dumps(picture.plans)]
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(
+            command, cwd=folder, env={**os.environ, "PYTHONPATH": str(folder)}, text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said,
+        )  # fmt: skip
+        try:
+            yield Side(process, said)
+        finally:
+            assert process.stdin is not None and process.stdout is not None
+            process.stdin.close()
+            process.stdout.close()
+            process.wait(60)
+
+
+@dataclass
+class Found:
+    """What was measured: rows by kind of frame and side, plans by picture and side, first frames by picture and side, how pictures
+    differ from those of the other commit, and the machine's load.
+    """
+
+    frames: dict[FrameKey, Rows] = field(default_factory=dict)
+    plans: dict[str, dict[str, Any]] = field(default_factory=dict)
+    firsts: dict[str, Rows] = field(default_factory=dict)
+    differences: dict[FrameKey, Row] = field(default_factory=dict)
+    renderer: str = ""
+    load: float = 0.0
+
+
+def in_turns(name: str, picture: Picture, level: str, folders: dict[str, Path], turns: int, found: Found) -> None:
+    """Draw a picture's frames: every kind by every side in each turn, the sides forwards and backwards by turns."""
+    with ExitStack() as stack:
+        sides = {each: stack.enter_context(side(folder, picture, level)) for each, folder in folders.items()}
+        drawers = {each: its for each, its in sides.items() if each != YARDSTICK}
+        for each, its in drawers.items():
+            planned = its.ask("plan")
+            found.renderer = planned["renderer"]
+            found.plans.setdefault(name, {})[each] = planned
+        number, sun, camera = 0, 0, 0
+        pictures = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        for turn in range(turns + 1):
+            order = list(drawers.items())[:: 1 if turn % 2 else -1]
+            for plan, moves in picture.moves.items():
+                for move in moves:
+                    if move in ("new", "sun", "camera"):
+                        number += 1
+                    sun, camera = _places(move, number, (sun, camera))
+                    clear = ["light", "scene"] if move == "all new" else []
+                    for each, its in order:
+                        row = its.ask("frame", plan=plan, sun=sun, camera=camera, clear=clear)
+                        _keep(found, FrameKey(name, plan, move), each, row, turn)
+                    if turn == turns and BASE in drawers:
+                        key = FrameKey(name, plan, move)
+                        found.differences[key] = _difference(found.frames[key], drawers, pictures)
+            if YARDSTICK in sides:
+                for stick, (map_size, taps) in STICKS.items():
+                    row = sides[YARDSTICK].ask("yardstick", map_size=map_size, taps=taps, sun=number, camera=number)
+                    _keep(found, FrameKey(name, "yardstick", stick), YARDSTICK, row, turn)
+        for again in range(3):
+            for each, its in drawers.items():
+                row = its.ask("plan", plans=["planned"], sun=number + 1 + again, camera=number + 1 + again)
+                found.plans[name][each].setdefault("new_view_ms", []).append(row["ms"])
+                found.plans[name][each].setdefault("new_view_cpu_ms", []).append(row["cpu_ms"])
+
+
+def _difference(rows: Rows, drawers: dict[str, Side], folder: Path) -> Row:
+    """How many of the frames have the same colours and visibilities on both sides, and how those of the last one differ."""
+    same = {
+        what: sum(one[what] == other[what] for one, other in zip(rows[NOW], rows[BASE], strict=True))
+        for what in ("color", "visibility")
+    }
+    saved = []
+    for each, its in drawers.items():
+        its.ask("save", path=str(folder / f"{each}.npz"))
+        saved.append(np.load(folder / f"{each}.npz"))
+    steps = np.abs(np.subtract(*(each["color"].astype(np.int16) for each in saved))).max(axis=2)
+    lit = [each["visibility"] >= 0.5 for each in saved]
+    counts = {"pixels": int((steps > 0).sum()), "most": int(steps.max()), "classes": int((lit[0] != lit[1]).any(axis=0).sum())}
+    return {"frames": len(rows[NOW]), **same, **counts}
+
+
+def _places(move: str, number: int, before: tuple[int, int]) -> tuple[int, int]:
+    """Numbers of the places of sun and camera in a frame after one."""
+    return number if move in ("new", "sun") else before[0], number if move in ("new", "camera") else before[1]
+
+
+def _keep(found: Found, key: FrameKey, each: str, row: Row, turn: int) -> None:
+    if turn:  # the first one compiles and allocates
+        found.frames.setdefault(key, {}).setdefault(each, []).append(row)
+
+
+def first_frames(name: str, picture: Picture, level: str, folders: dict[str, Path], found: Found) -> None:
+    """First frames of fresh processes, one side after the other."""
+    for _ in range(FIRST_REPEATS):
+        for each, folder in folders.items():
+            with side(folder, picture, level) as its:
+                answers = []
+                for number in range(WARM_AFTER_FIRST + 1):
+                    plan = its.ask("plan", plans=["planned"], sun=number, camera=number)
+                    row = its.ask("frame", plan="planned", sun=number, camera=number)
+                    both = {f"{clock}answer_ms": plan[f"{clock}ms"] + row[f"{clock}ms"] for clock in ("", "cpu_")}
+                    answers.append({**row, **both, "plan_ms": plan["ms"]})
+                clocks = ("ms", "cpu_ms", "plan_ms", "answer_ms", "cpu_answer_ms")
+                warm = {clock: statistics.median(answer[clock] for answer in answers[1:]) for clock in clocks}
+                found.firsts.setdefault(name, {}).setdefault(each, []).append({**its.ready, "first": answers[0], "warm": warm})
+
+
+def measure(given: argparse.Namespace) -> Found:
+    """All that is asked for."""
+    found = Found()
+    folders = {NOW: ROOT} | ({BASE: given.base.resolve()} if given.base else {})
+    with tempfile.TemporaryDirectory() as folder:
+        for name in given.pictures:
+            picture = PICTURES[name]
+            width, height = picture.size
+            picture = Picture(**{**vars(picture), "size": (round(width * given.scale), round(height * given.scale))})
+            level = str(wooded_hills(Path(folder), given.trees)) if name == MILLION else picture.level
+            turns = max(round(given.repeats * picture.turns_share), 1)
+            in_turns(name, picture, level, {**folders, YARDSTICK: ROOT}, turns, found)
+            if picture.has_first and not given.no_first:
+                first_frames(name, picture, level, folders, found)
+            found.load = max(found.load, os.getloadavg()[0])
+            print(f"{name} is done; load {os.getloadavg()[0]:.1f}", file=sys.stderr, flush=True)
+    return found
+
+
+def _commit(folder: Path) -> str:
+    said = subprocess.run(["git", "log", "-1", "--format=%h of %cs"], cwd=folder, capture_output=True, text=True, check=False)
+    return said.stdout.strip() or "unknown"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, and say what was found."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--base", type=Path, help="a clone of another commit")
+    parser.add_argument("--pictures", nargs="+", choices=tuple(PICTURES), default=list(PICTURES))
+    parser.add_argument("--repeats", type=int, default=15, help="turns of SpatialAce's frames; half as many of the others")
+    parser.add_argument("--trees", type=int, default=1_000_000)
+    parser.add_argument("--scale", type=float, default=1.0, help="of the pictures' sides, to try it out")
+    parser.add_argument("--no-first", action="store_true", help="leave out the first frames of fresh processes")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--markdown", type=Path, help="a page with marks, between which the tables are put, or a new file")
+    given = parser.parse_args(arguments)
+    if given.base is not None and not (given.base / "terrain").is_dir():
+        parser.error(f"--base: {given.base}: a clone of this repository, which has a folder terrain")
+    if given.repeats < 1 or not 0.0 < given.scale <= 1.0:
+        parser.error(f"--repeats {given.repeats} --scale {given.scale:g}: one turn at least, and a scale up to 1")
+    found = measure(given)
+    result = {
+        "renderer": found.renderer, "cpus": os.cpu_count(), "load": found.load, "repeats": given.repeats, "now": _commit(ROOT),
+        "base": _commit(given.base) if given.base else None, "plans": found.plans, "firsts": found.firsts,
+        "frames": [{**key._asdict(), "rows": sides, "differs": found.differences.get(key)} for key, sides in found.frames.items()],
+        "targets": [{**each._asdict(), "met": each.met} for each in frame_targets(found.frames, found.firsts)],
+    }  # fmt: skip
+    table = as_markdown(result, found.frames, found.firsts, found.differences)
+    if given.json:
+        given.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    if given.markdown:
+        page = given.markdown.read_text(encoding="utf-8") if given.markdown.exists() else ""
+        given.markdown.write_text(put_between_marks(page, table) if BEGIN in page else table, encoding="utf-8")
+    print(table)
+    for each in frame_targets(found.frames, found.firsts):
+        print(each.line)
+
+
+if __name__ == "__main__":
+    main()

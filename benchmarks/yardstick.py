@@ -1,0 +1,292 @@
+"""The least that draws a scene: a forward renderer of one vertex and one fragment shader, by which frames are measured.
+
+It is what a reader of a tutorial would write. The ground's triangles and the meshes' are uploaded once, and so are the trees,
+one upright quad each that turns to the eye (in the depth map to the sun) and is cut out by the pictures of leaves that the
+engine has. Lambert's cosine and a sky from above light them, and where nothing is there is one colour. With a shadow, all
+casters are drawn anew into a depth map for every frame. Every picture is read back, as nobody sees it else.
+
+What it leaves out is what the engine is for: shadow that is right, edges that are smooth, detail of the ground, haze, the sky's
+gradient, and choosing what is drawn.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import moderngl
+import numpy as np
+
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
+from terrain.gbuffer.picture import solids_in
+from terrain.gbuffer.resolve import RELIEF
+from terrain.gbuffer.tree_instances import tree_instances_in_perspective
+from terrain.geo.camera import PerspectiveView
+from terrain.geo.world import LocalFrame
+from terrain.gl.device import device
+from terrain.scene import Scene
+from terrain.shading import albedo_of, light_here
+from terrain.trees.foliage import THRESHOLD, foliage
+
+MAP_BITS = 16
+NEAR_M, FAR_M = 0.5, 20_000.0
+
+SHADOWED_M = 400.0
+"""How far from the eye the depth map reaches: a square of so much to each side of the middle between the eye and that far ahead."""
+
+SLOPE_BIAS = 1.5
+"""Bias, in slopes of a triangle over a texel, for each tap of a side (glPolygonOffset); and some steps of depth."""
+
+SKY = (0.62, 0.74, 0.88)
+"""The one colour of the sky, sRGB."""
+
+VERTEX = """
+#version 430
+#ifdef TREES
+in vec3 base;
+in vec4 shape;   // half width, -, height, -
+in float look;
+uniform vec2 across;  // a unit vector along the quads
+out vec3 leaf_at;
+const vec2 CORNERS[6] = vec2[](vec2(-1, 0), vec2(1, 0), vec2(1, 1), vec2(-1, 0), vec2(1, 1), vec2(-1, 1));
+#else
+in vec3 position;
+in vec3 normal;
+in vec3 albedo;
+out vec3 facing;
+out vec3 tint;
+#endif
+uniform mat4 clip_from_frame;
+uniform mat4 map_from_frame;
+out vec3 map_at;
+
+void main() {
+#ifdef TREES
+    vec2 corner = CORNERS[gl_VertexID];
+    vec3 point = base + vec3(across * (corner.x * shape.x), corner.y * shape.z);
+    leaf_at = vec3(0.5 + 0.5 * corner.x, 1.0 - corner.y, 2.0 * look);
+#else
+    vec3 point = position;
+    facing = normal;
+    tint = albedo;
+#endif
+    map_at = (map_from_frame * vec4(point, 1.0)).xyz;
+    gl_Position = clip_from_frame * vec4(point, 1.0);
+}
+"""
+
+FRAGMENT = """
+#version 430
+#ifdef TREES
+uniform sampler2DArray leaves;
+uniform float threshold;
+in vec3 leaf_at;
+#else
+in vec3 facing;
+in vec3 tint;
+#endif
+uniform vec3 to_sun;
+uniform vec3 sun;
+uniform vec3 sky;
+#if TAPS > 0
+uniform sampler2D depth_map;
+#endif
+in vec3 map_at;
+out vec4 color;
+
+float lit() {
+#if TAPS > 0
+    ivec2 size = textureSize(depth_map, 0);
+    ivec2 first = ivec2(floor((0.5 + 0.5 * map_at.xy) * vec2(size) - 0.5 * float(TAPS - 1)));
+    if (any(lessThan(first, ivec2(0))) || any(greaterThan(first + TAPS, size))) return 1.0;
+    float depth = 0.5 + 0.5 * map_at.z, sum = 0.0;
+    for (int row = 0; row < TAPS; row++)
+        for (int col = 0; col < TAPS; col++)
+            sum += depth <= texelFetch(depth_map, first + ivec2(col, row), 0).r ? 1.0 : 0.0;
+    return sum / float(TAPS * TAPS);
+#else
+    return 1.0;
+#endif
+}
+
+void main() {
+#ifdef TREES
+    vec4 leaf = texture(leaves, leaf_at);
+    if (leaf.a < threshold) discard;
+    vec3 light = sun * (0.5 * lit()) + sky, own = leaf.rgb;
+#else
+    vec3 n = normalize(facing), own = tint;
+    vec3 light = sun * (max(dot(n, to_sun), 0.0) * lit()) + sky * (0.5 + 0.5 * n.z);
+#endif
+    color = vec4(pow(min(own * light, vec3(1.0)), vec3(1.0 / 2.2)), 1.0);
+}
+"""
+
+DEPTH_FRAGMENT = """
+#version 430
+#ifdef TREES
+uniform sampler2DArray leaves;
+uniform float threshold;
+in vec3 leaf_at;
+void main() { if (texture(leaves, leaf_at).a < threshold) discard; }
+#else
+void main() {}
+#endif
+"""
+
+
+class Drawn(NamedTuple):
+    """The arrays of a program: what is opaque, and the trees, if there are any."""
+
+    opaque: moderngl.VertexArray
+    trees: moderngl.VertexArray | None
+
+
+class Yardstick:
+    """A scene on the device, as seen from a view's eye and about it.
+
+    ``map_size`` is the side of the depth map in texels (0: no shadows), ``taps`` how many a side of it are compared.
+    """
+
+    def __init__(self, scene: Scene, view: PerspectiveView, map_size: int = 0, taps: int = 1) -> None:
+        gl = device()
+        self._map_size, self._taps = map_size, taps
+        self._frame = view.frame(scene.world)
+        self._target = gl.ctx.framebuffer(
+            [gl.ctx.texture((view.cols, view.rows), 4)], gl.ctx.depth_renderbuffer((view.cols, view.rows))
+        )
+        ground = ground_mesh(scene, view)
+        vertices, indices = _opaque(scene, view, ground, self._frame)
+        self._vertices, self._indices = gl.ctx.buffer(vertices), gl.ctx.buffer(indices)
+        self.triangles = len(indices)
+        self._instances: moderngl.Buffer | None = None
+        stand = tree_instances_in_perspective(scene.objects, self._frame, tuple(view.eye_earth_m), view.focal_px)
+        self.trees = 0 if stand is None else len(stand)
+        bounds = [vertices[:, :3].min(axis=0), vertices[:, :3].max(axis=0)]
+        if stand is not None and self.trees:
+            self._instances = gl.ctx.buffer(
+                np.concatenate([stand.base_frame_m, stand.shape, stand.variant[:, None]], axis=1).astype(np.float32)
+            )
+            self._leaves = gl.layers(foliage().levels)
+            bounds[1] = bounds[1] + [0.0, 0.0, float(stand.shape[:, 2].max())]
+        self._bounds = np.array(bounds)
+        self._colour = self._drawn(FRAGMENT.replace("TAPS", str(taps if map_size else 0)))
+        self._depth = self._drawn(DEPTH_FRAGMENT) if map_size else None
+
+    def draw(self, scene: Scene, view: PerspectiveView) -> np.ndarray:
+        """The picture (rows, cols, 4) uint8 of a view from about there, under any sun."""
+        gl = device()
+        eye, camera_from_frame = view.in_frame(self._frame)
+        light = light_here(scene, self._frame)
+        to_sun = np.asarray(light.to_sun_frame, np.float64)
+        map_from_frame = self._map(eye, camera_from_frame, to_sun)
+        if self._depth is not None:
+            target = gl.depth_target(self._map_size, self._map_size, MAP_BITS)
+            with gl.depth_pass(target, (SLOPE_BIAS * self._taps, 4.0)):
+                self._render(self._depth, map_from_frame, map_from_frame, to_sun[:2], {})
+            target.depth_attachment.use(1)
+        self._target.use()
+        self._target.clear(*SKY, 1.0, depth=1.0)
+        gl.ctx.enable_only(moderngl.DEPTH_TEST)
+        uniforms = {"to_sun": tuple(to_sun), "sun": tuple(light.sun), "sky": tuple(light.sky), "depth_map": 1}
+        self._render(self._colour, _clip(view, eye, camera_from_frame), map_from_frame, camera_from_frame[2, :2], uniforms)
+        gl.ctx.enable_only(moderngl.NOTHING)
+        return gl.read(self._target, 0, "f1", 4)
+
+    def _drawn(self, fragment: str) -> Drawn:
+        gl, arrays = device(), []
+        for kind in ("OPAQUE", "TREES"):
+            define = f"#version 430\n#define {kind}"
+            vertex, own = (text.strip().replace("#version 430", define) for text in (VERTEX, fragment))
+            program = gl.program(vertex, own)
+            names = ("position", "normal", "albedo") if kind == "OPAQUE" else ("base", "shape", "look")
+            layout = "3f 3f 3f" if kind == "OPAQUE" else "3f 4f 1f/i"
+            buffer = self._vertices if kind == "OPAQUE" else self._instances
+            if buffer is None:
+                continue
+            used, layout = _used(program, names, layout)
+            index = self._indices if kind == "OPAQUE" else None
+            arrays.append(gl.ctx.vertex_array(program, [(buffer, layout, *used)], index_buffer=index))
+        return Drawn(arrays[0], arrays[1] if len(arrays) > 1 else None)
+
+    def _render(
+        self, drawn: Drawn, clip_from_frame: np.ndarray, map_from_frame: np.ndarray, towards: np.ndarray, uniforms: dict
+    ) -> None:
+        gl = device()
+        across = np.array([-towards[1], towards[0]]) / max(float(np.hypot(*towards)), 1e-9)
+        matrices = {"clip_from_frame": tuple(clip_from_frame.T.ravel()), "map_from_frame": tuple(map_from_frame.T.ravel())}
+        more = {"across": tuple(across), "leaves": 0, "threshold": THRESHOLD}
+        for array in drawn:
+            if array is not None:
+                for name, value in {**uniforms, **matrices, **more}.items():
+                    if name in array.program:
+                        array.program[name] = value
+        gl.render(drawn.opaque)
+        if drawn.trees is not None:
+            self._leaves.use(0)
+            gl.render(drawn.trees, vertices=6, instances=self.trees)
+
+    def _map(self, eye: np.ndarray, camera_from_frame: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
+        """The matrix (4, 4) from the frame to the depth map's clip space."""
+        right = np.cross([0.0, 0.0, 1.0], to_sun)
+        right = right / max(float(np.linalg.norm(right)), 1e-9)
+        axes = np.stack([right, np.cross(to_sun, right), -to_sun])
+        ahead = np.array([*camera_from_frame[2, :2], 0.0])
+        middle = axes @ (eye + ahead * (0.5 * SHADOWED_M / max(float(np.linalg.norm(ahead)), 1e-9)))
+        corners = np.stack(np.meshgrid(*self._bounds.T, indexing="ij"), axis=-1).reshape(-1, 3) @ axes.T
+        near, far = corners[:, 2].min(), corners[:, 2].max()
+        half = 0.5 * SHADOWED_M
+        scale = np.array([1.0 / half, 1.0 / half, 2.0 / (far - near)])
+        out = np.eye(4)
+        out[:3, :3] = axes * scale[:, None]
+        out[:3, 3] = -np.array([middle[0], middle[1], 0.5 * (near + far)]) * scale
+        return out
+
+
+def _opaque(scene: Scene, view: PerspectiveView, ground: GroundMesh, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 9) float32 of the ground and the meshes (points, normals, albedo), and triangles (m, 3) int32."""
+    shape = (1, len(ground.height_m))
+    flat = np.zeros(shape, np.float32)
+    points = ground.position_frame_m.reshape(*shape, 3)
+    normals = ground.normal_frame.reshape(*shape, 3)
+    buffer = GeometryBuffer(
+        view, frame, np.isfinite(points[..., 2]), points, ground.height_m.reshape(shape), normals, normals, flat,
+        np.full(shape, RELIEF, np.uint8),
+    )  # fmt: skip
+    parts = [np.concatenate([points[0], normals[0], albedo_of(buffer, scene)[0]], axis=1)]
+    indices = [ground.triangles]
+    solids, corners = scene.objects.solids, solids_in(scene.objects, frame)
+    if solids is not None and corners is not None:
+        at = corners[solids.triangles].reshape(-1, 3)
+        facing = frame.directions_from_earth(solids.corner_normals_earth).reshape(-1, 3)
+        parts.append(np.concatenate([at, facing, np.repeat(solids.albedo, 3, axis=0)], axis=1))
+        indices.append(shape[1] + np.arange(len(at)).reshape(-1, 3))
+    return np.concatenate(parts).astype(np.float32), np.concatenate(indices).astype(np.int32)
+
+
+def _used(program: moderngl.Program, names: tuple[str, ...], layout: str) -> tuple[list[str], str]:
+    """The attributes that a program has, and a layout that skips the others."""
+    per_instance = layout.endswith("/i")
+    words, used = [], []
+    for name, word in zip(names, layout.removesuffix("/i").split(), strict=True):
+        if name in program:
+            used.append(name)
+            words.append(word)
+        else:
+            words.append(f"{4 * int(word[0])}x")
+    return used, " ".join(words) + ("/i" if per_instance else "")
+
+
+def _clip(view: PerspectiveView, eye: np.ndarray, camera_from_frame: np.ndarray) -> np.ndarray:
+    """The matrix (4, 4) from the frame to clip space, row 0 of the picture first."""
+    size = np.array([view.cols, view.rows])
+    first = np.array([view.col0, view.row0])
+    scale, shift = 2.0 * view.focal_px / (view.step * size), (1.0 - 2.0 * first / view.step) / size - 1.0
+    projection = np.zeros((4, 4))
+    projection[0, 0], projection[0, 2] = scale[0], shift[0]
+    projection[1, 1], projection[1, 2] = scale[1], shift[1]
+    projection[2, 2], projection[2, 3] = (FAR_M + NEAR_M) / (FAR_M - NEAR_M), -2.0 * FAR_M * NEAR_M / (FAR_M - NEAR_M)
+    projection[3, 2] = 1.0
+    camera = np.eye(4)
+    camera[:3, :3], camera[:3, 3] = camera_from_frame, -camera_from_frame @ eye
+    return projection @ camera

@@ -1,0 +1,154 @@
+"""The benchmark of frames: its arithmetic, its turns on a tiny picture, and that its yardstick shows the scene that we show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from api.catalogue import find_level
+from benchmarks.frame_tables import (
+    BASE,
+    BEGIN,
+    END,
+    NOW,
+    YARDSTICK,
+    FrameKey,
+    Target,
+    as_markdown,
+    frame_targets,
+    paired_ratio,
+    put_between_marks,
+)
+from benchmarks.frames import PICTURES, ROOT, Found, in_turns, main, side
+from benchmarks.yardstick import Yardstick
+from selector.planner.planner import make_plan
+from shadows.render import render_frame
+from terrain.describe import describe
+from terrain.gbuffer.picture import geometry_of
+from terrain.gbuffer.resolve import RELIEF
+from terrain.geo.camera import PerspectiveView
+from terrain.level.level import load_level
+from terrain.scene import build_scene
+
+TINY = replace(
+    PICTURES["SpatialAce"],
+    size=(64, 48),
+    plans={"planned": {"algorithm": "shadow_map"}},
+    moves={"planned": ("new", "sun", "resting")},
+)
+
+
+def row(ms: float, **more: Any) -> dict[str, Any]:
+    return {"ms": ms, "cpu_ms": 2.0 * ms, "reads": 1, "read_mib": 2.0, "draws": 3, "passes_ms": {"geometry": ms}, **more}
+
+
+def test_a_ratio_is_the_median_of_those_of_the_turns():
+    """Other work slows the middle turn's two frames alike: the ratio of the medians would be 3."""
+    assert paired_ratio([row(10.0), row(90.0), row(30.0)], [row(5.0), row(45.0), row(10.0)]) == 2.0
+
+
+def test_targets_are_met_at_their_limit_and_missed_beyond_it():
+    key = FrameKey("SpatialAce", "planned", "new")
+    frames = {key: {NOW: [row(35.0)], BASE: [row(100.0)]}}
+    (found,) = (target for target in frame_targets(frames, {}) if target.counts)
+    assert (found.wall, found.cpu, found.most, found.met) == (0.35, 0.35, 0.35, True)
+    assert found.line == "met    SpatialAce as planned, sun and camera moved / before: 0.35 (CPU time 0.35), at most 0.35"
+    frames[key][NOW] = [row(36.0)]
+    (found,) = (target for target in frame_targets(frames, {}) if target.counts)
+    assert not found.met and found.line.startswith("MISSED")
+
+
+def test_the_yardstick_that_counts_is_that_of_one_tap():
+    sticks = {FrameKey("SpatialAce", "yardstick", name): {YARDSTICK: [row(ms)]} for name, ms in
+              (("unshadowed", 1.0), ("512, 1 tap", 10.0), ("512, 3 x 3 taps", 20.0))}  # fmt: skip
+    frames = {FrameKey("SpatialAce", "planned", "new"): {NOW: [row(40.0)]}, **sticks}
+    ratios = {target.counts: target.wall for target in frame_targets(frames, {})}
+    assert ratios == {True: 4.0, False: 2.0}
+
+
+def test_a_first_frame_is_held_against_warm_ones_of_its_own_process():
+    first = {"ms": 30.0, "cpu_ms": 40.0, "answer_ms": 130.0, "cpu_answer_ms": 140.0}
+    warm = {"ms": 10.0, "cpu_ms": 10.0, "answer_ms": 20.0, "cpu_answer_ms": 20.0}
+    found = frame_targets({}, {"valley": {NOW: [{"first": first, "warm": warm}]}})
+    assert [(target.wall, target.cpu, target.counts) for target in found] == [(3.0, 4.0, True), (6.5, 7.0, False)]
+
+
+def test_the_most_memory_of_all_frames_counts():
+    million = FrameKey("a million trees", "planned", "new")
+    found = frame_targets({million: {NOW: [row(1.0, peak_gb=1.1), row(1.0, peak_gb=1.3)]}}, {})
+    assert found == [Target("a million trees: peak memory", 1.2, 1.3, unit=" GB")] and not found[0].met
+
+
+def test_tables_are_put_between_the_marks_of_a_page_again_and_again():
+    page = f"before\n{BEGIN}\nold\n{END}\nafter\n"
+    once = put_between_marks(page, "| new |\n")
+    assert once == f"before\n{BEGIN}\n\n| new |\n\n{END}\nafter\n"
+    assert put_between_marks(once, "| new |") == once
+    with pytest.raises(ValueError, match="no marks"):
+        put_between_marks("a page without any", "table")
+    assert put_between_marks((ROOT / "docs" / "speed.md").read_text(encoding="utf-8"), "table")
+
+
+def test_frames_are_drawn_in_turns_and_are_the_same_to_the_bit_from_the_same_code():
+    """This checkout stands for the other one. With sun and camera moved all is drawn that is drawn, at rest the map is kept."""
+    found = Found()
+    in_turns("SpatialAce", TINY, "spatialace", {NOW: ROOT, BASE: ROOT, YARDSTICK: ROOT}, 2, found)
+    moves = [FrameKey("SpatialAce", "planned", move) for move in ("new", "sun", "resting")]
+    assert set(found.frames) == {*moves, *(FrameKey("SpatialAce", "yardstick", name) for name in
+                                           ("unshadowed", "512, 1 tap", "512, 3 x 3 taps"))}  # fmt: skip
+    for key in moves:
+        sides = found.frames[key]
+        assert [len(sides[each]) for each in (NOW, BASE)] == [2, 2]
+        assert found.differences[key] == {"frames": 2, "color": 2, "visibility": 2, "pixels": 0, "most": 0, "classes": 0}
+        for one in sides[NOW]:
+            assert one["cpu_ms"] > 0.0 and 0.05 < one["peak_gb"] < 4.0
+            assert sum(one["passes_ms"].values()) == pytest.approx(one["ms"])
+    new, sun, resting = (found.frames[key][NOW] for key in moves)
+    assert all(one["reads"] > 0 and one["draws"] > 0 for one in new)
+    assert len({one["color"] for one in (*new, *sun)}) == 4  # nothing is drawn from one place twice
+    assert [one["color"] for one in resting] == [one["color"] for one in sun]
+    assert resting[0]["draws"] < sun[0]["draws"]
+    assert [one["reads"] for one in found.frames[FrameKey("SpatialAce", "yardstick", "unshadowed")][YARDSTICK]] == [1, 1]
+    table = as_markdown(
+        {"renderer": "x", "cpus": 1, "load": 1.5, "repeats": 2, "base": "y"},
+        found.frames,
+        {},
+        found.differences,
+    )
+    assert "| SpatialAce | planned | the sun |" in table and "2 of 2 | 2 of 2 |" in table
+    assert "* SpatialAce is planned as shadow_map. A new view's plan: " in table
+
+
+def test_what_goes_wrong_in_a_side_is_said():
+    with side(ROOT, TINY, "spatialace") as its, pytest.raises(RuntimeError, match="KeyError: 'nothing'"):
+        its.ask("frame", plan="nothing")
+
+
+@pytest.mark.parametrize("wrong", [["--base", "/nowhere"], ["--repeats", "0"], ["--scale", "2"]])
+def test_wrong_options_are_named(wrong, capsys):
+    with pytest.raises(SystemExit):
+        main(wrong)
+    assert wrong[0] in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_yardstick_shows_the_scene_that_we_show():
+    """Sky and surface, and shadows that fall on ground before the eye, whatever a texel of 0.8 m makes of them."""
+    scene = build_scene(load_level(find_level("spatialace")))
+    view = scene.view("main", size=(200, 150))
+    assert isinstance(view, PerspectiveView) and scene.sun is not None
+    plan = make_plan(describe(scene, view, "main"), scene.loaded.level, {"algorithm": "shadow_map"})
+    ours = render_frame(scene, view, plan)
+    plain, shadowed = (Yardstick(scene, view, size).draw(scene, view)[..., :3].astype(int) for size in (0, 512))
+    sky = (plain == plain[0, 0]).all(axis=2)
+    assert np.mean(sky == ~ours.there) > 0.99
+    buffer = geometry_of(scene, view)
+    eye, _ = view.in_frame(buffer.frame)
+    near = (buffer.kind == RELIEF) & (np.linalg.norm(buffer.position_frame_m - eye, axis=2) < 150.0)
+    near &= buffer.normal_frame @ scene.sun.in_frame(buffer.frame) > 0.1
+    darker, dark = (plain - shadowed).max(axis=2)[near] > 20, ours.visibility[near] < 0.5
+    assert 0.05 < dark.mean() < 0.9
+    assert (darker & dark).sum() / (darker | dark).sum() > 0.8
+    assert not (plain != shadowed).any(axis=2)[sky].any()
