@@ -99,7 +99,12 @@ class TreeInstances:
         return corners[:, :, :1] + uv[..., :1] * right[:, :, None] + uv[..., 1:] * up[:, :, None]
 
 
-@cached("scene", 512 * MIB)
+def _made_from(objects: SceneObjects, *more: object) -> tuple[object, ...]:
+    """Trees stand still: they are kept while meshes move."""
+    return objects.elevation, objects.trees, *more
+
+
+@cached("scene", 512 * MIB, key=_made_from)
 def tree_instances_in_map(objects: SceneObjects, frame: LocalFrame, pixel_m: float) -> TreeInstances | None:
     """The trees of a map, beyond its rim too; ``None`` without any. The last ones are kept."""
     trees = objects.trees
@@ -111,7 +116,7 @@ def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
     return bool((trees.rank < _share(trees.crown_m / (pixel_m * ALL_CROWNS_PX))).any())
 
 
-@cached("scene", 512 * MIB)
+@cached("scene", 512 * MIB, key=_made_from)
 def tree_instances_in_perspective(
     objects: SceneObjects, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
 ) -> TreeInstances | None:
@@ -144,7 +149,7 @@ def _stand(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndar
     )
 
 
-@cached("scene", 256 * MIB)
+@cached("scene", 256 * MIB, key=_made_from)
 def _bases(objects: SceneObjects, frame: LocalFrame) -> np.ndarray:
     """The feet (n, 3) of all trees in a frame, which holds for many eyes."""
     assert objects.trees is not None

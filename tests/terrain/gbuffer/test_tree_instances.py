@@ -11,6 +11,7 @@ import pytest
 import shapely
 from pyproj import Transformer
 
+from api.catalogue import find_level
 from shadows.truth import truth
 from shadows.truth.truth import ALL_KINDS
 from terrain.casters.rays import sample_alpha
@@ -20,7 +21,8 @@ from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
 from terrain.gbuffer.resolve import FOREST
 from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView, look_at
-from terrain.scene import Scene
+from terrain.level.level import load_level
+from terrain.scene import Scene, build_scene
 from terrain.trees.foliage import THRESHOLD, TREE_VARIANTS, foliage
 from tests.rasters import ENGINEERING
 
@@ -290,3 +292,16 @@ def test_a_tree_s_quads_are_the_same_from_all_round(floor, wooded):
         found.append(stand.corners() + view.frame(scene.world).origin_earth_m)
     for other in found[1:]:
         np.testing.assert_allclose(other, found[0], atol=1e-5)
+
+
+def test_trees_are_kept_while_a_mesh_moves(gl):
+    """SpatialAce's figure flies; its trees are the same ones at every second."""
+    scene = build_scene(load_level(find_level("spatialace")))
+    view = scene.view("main")
+    assert isinstance(view, PerspectiveView)
+    frame, eye = view.frame(scene.world), tuple(view.eye_earth_m)
+    later = scene.at_second(7.0)
+    assert later.objects is not scene.objects
+    stand = tree_instances_in_perspective(scene.objects, frame, eye, view.focal_px)
+    assert stand is not None and tree_instances_in_perspective(later.objects, frame, eye, view.focal_px) is stand
+    assert tree_instances_in_perspective(later.objects, frame, (*eye[:2], eye[2] + 1.0), view.focal_px) is not stand
