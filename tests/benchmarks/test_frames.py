@@ -112,12 +112,8 @@ def test_frames_are_drawn_in_turns_and_are_the_same_to_the_bit_from_the_same_cod
     assert [one["color"] for one in resting] == [one["color"] for one in sun]
     assert resting[0]["draws"] < sun[0]["draws"]
     assert [one["reads"] for one in found.frames[FrameKey("SpatialAce", "yardstick", "unshadowed")][YARDSTICK]] == [1, 1]
-    table = as_markdown(
-        {"renderer": "x", "cpus": 1, "load": 1.5, "repeats": 2, "base": "y"},
-        found.frames,
-        {},
-        found.differences,
-    )
+    said = {"renderer": "x", "cpus": 1, "load": 1.5, "repeats": 2, "base": "y", "plans": found.plans}
+    table = as_markdown(said, found.frames, {}, found.differences)
     assert "| SpatialAce | planned | the sun |" in table and "2 of 2 | 2 of 2 |" in table
     assert "* SpatialAce is planned as shadow_map. A new view's plan: " in table
 
