@@ -33,7 +33,7 @@ def executed_effects(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
         if not is_algorithm:
             continue
         ran.add("cast_shadows")
-        words = {word for label in record.programs for word in label.split()}
+        words = {word for label in (*record.programs, *record.loops) for word in label.split()}
         if words & FOLIAGE_PARTS or "forest" in work.partition(":")[0].split("+"):
             ran.add("alpha_test")
         taps = {word for word in words if word.startswith("taps=")}

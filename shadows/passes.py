@@ -32,8 +32,8 @@ class PassRecord:
     """One executed pass: its name, wall-clock milliseconds, draw calls, triangles, texels of shadow maps, the bytes of textures
     and buffers it held at a time, how many maps or volumes it found as they were made before, silhouette edges, marked pixels
     and tiles that hold one, of how many points of the light it is the mean, and what else there is to say of it; labels of the
-    programs that it drew with or ran, in the order of their first use, and the textures that these can read, by the alphabet
-    (``terrain.gl.programs``).
+    programs that it drew with, in the order of their first use, and the textures that these can read, by the alphabet
+    (``terrain.gl.programs``); labels of what it did by loops on the processor instead.
 
     ``parts`` are the blocks, or parts of them, that the plan had it for, ``left_out`` those of them that provably need none of its
     work, and went without it; the ``note`` says why.
@@ -55,10 +55,11 @@ class PassRecord:
     left_out: int = 0
     programs: tuple[str, ...] = ()
     textures: tuple[str, ...] = ()
+    loops: tuple[str, ...] = ()
 
     def looked_up_by(self, loop: str, taps: int) -> None:
-        """Put it on record, as of a program, that a loop on the processor looked points up by so many taps a side."""
-        self.programs = tuple(dict.fromkeys([*self.programs, f"{loop} taps={taps}"]))
+        """Put it on record that a loop on the processor looked points up by so many taps a side."""
+        self.loops = tuple(dict.fromkeys([*self.loops, f"{loop} taps={taps}"]))
 
     @property
     def did_nothing(self) -> bool:

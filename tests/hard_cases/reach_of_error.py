@@ -89,8 +89,9 @@ def _unexplained(seen: Seen, left: np.ndarray, dark: np.ndarray) -> np.ndarray:
         rays = ray_scene(buffer, seen.scene, seen.casters, ALL_KINDS)
         (step,) = seen.plan.steps_under(seen.light)
         facing = facing_normals(buffer, seen.scene.light_position(seen.light, buffer.frame))
+        lifts = buffer.normal_frame if facing.lift_frame is None else facing.lift_frame
         points, normals, lift = (
-            a.reshape(-1, 3)[left].astype(np.float64) for a in (buffer.position_frame_m, facing.normal_frame, facing.lift_frame)
+            a.reshape(-1, 3)[left].astype(np.float64) for a in (buffer.position_frame_m, facing.normal_frame, lifts)
         )
         for moves in _moves(seen, step, left, towards, points, normals, facing.crease.ravel()[left]):
             out &= rays.blocked(points + moves + rays.offset_m * lift, towards) != dark

@@ -14,6 +14,7 @@ from shadows.layer_collector import LayerCollector, tiled_pictures
 from shadows.passes import PassLog
 from shadows.registry import ALGORITHMS
 from shadows.render import Frame, render_frame
+from terrain.cache import clear_caches
 from terrain.errors import InputError, UnsupportedError
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView, map_view
@@ -69,9 +70,11 @@ def test_nothing_is_made_that_nobody_asked_for(gl, scene, monkeypatch):
     assert made == [] and [each.tolist() for each in log.take()["stencil", SUN]] == [[[7, 7], [7, 7]]] and log.take() == {}
     reads = []
     original = Device.read
-    monkeypatch.setattr(Device, "read", lambda self, target, *of: reads.append(of) or original(self, target, *of))
+    monkeypatch.setattr(Device, "read", lambda self, target, *of, **by: reads.append(of) or original(self, target, *of, **by))
+    clear_caches("light", "scene")
     plain = render(scene, scene.view("eye"), algorithm="shadow_map")
     count = len(reads)
+    clear_caches("light", "scene")
     kept = with_layers(scene, "shadow-map", algorithm="shadow_map")
     assert plain.layers == {} and set(kept.layers) == {"shadow-map"}
     assert len(reads) - count > count

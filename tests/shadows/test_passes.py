@@ -132,8 +132,9 @@ def test_what_another_thread_draws_is_not_this_ones():
 
 
 def test_records_survive_json():
-    record = PassRecord("map", draws=2, programs=("a b", "c"), textures=("foliage",))
-    assert json.loads(json.dumps(asdict(record))) | {"programs": record.programs, "textures": record.textures} == asdict(record)
+    record = PassRecord("map", draws=2, programs=("a b", "c"), textures=("foliage",), loops=("d",))
+    lists = {"programs": record.programs, "textures": record.textures, "loops": record.loops}
+    assert json.loads(json.dumps(asdict(record))) | lists == asdict(record)
 
 
 # -- frames
@@ -213,7 +214,8 @@ def test_programs_are_compiled_for_what_is_asked_for(gl, build, monkeypatch):
     frame = drawn(build(), algorithm="shadow_map", filter=3, map_size=256)
     assert set(gl.programs) == {label for record in frame.passes for label in record.programs}
     without = {part for label in gl.programs for part in label.split()}
-    assert "shadows/maps/shadow_map.frag" in without and not any("disc" in part or "tree" in part for part in without)
+    assert record_of(frame, "visibility").loops == ("shadows/maps/point_lookup taps=3", "shadows/maps/point_lookup taps=1")
+    assert "shadows/maps/depth.frag" in without and not any("disc" in part or "tree" in part for part in without)
     frame = drawn(build(), algorithm="shadow_map", filter="sun", map_size=256)
     assert any("shadows/maps/sun_disc.frag" in label.split() for label in gl.programs)
     soft = record_of(frame, "visibility")
@@ -223,7 +225,11 @@ def test_programs_are_compiled_for_what_is_asked_for(gl, build, monkeypatch):
 
 
 def test_labels_name_the_constants_compiled_in(gl, build):
+    """In a map, whose points share triangles, shaders look them up; in perspective a loop does."""
     for taps in (1, 3):
-        visibility = record_of(drawn(build(), algorithm="shadow_map", filter=taps, map_size=256), "visibility")
+        loops = record_of(drawn(build(), algorithm="shadow_map", filter=taps, map_size=256), "visibility").loops
+        assert loops[0].split() == ["shadows/maps/point_lookup", f"taps={taps}"]
+        visibility = record_of(drawn(build(), "map", algorithm="shadow_map", filter=taps, map_size=256), "visibility")
+        assert visibility.loops == ()
         assert f"taps={taps}" in visibility.programs[0].split() and "shadows/maps/shadow_map.frag" in visibility.programs[0].split()
         assert {"depth_map", "position_frame_m"} <= set(visibility.textures)

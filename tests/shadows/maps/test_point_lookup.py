@@ -51,8 +51,8 @@ def test_the_loop_gives_what_the_shader_gives(gl, landscape, monkeypatch, asked)
         # a map that is told not to be uniform is looked up by the shader
         patch.setattr(DepthMap, "is_uniform", property(lambda drawn: False))
         by_shader = drawn(landscape, **asked)
-    assert any("point_lookup" in label for record in by_loop.passes for label in record.programs)
-    assert not any("point_lookup" in label for record in by_shader.passes for label in record.programs)
+    assert any("point_lookup" in label for record in by_loop.passes for label in record.loops)
+    assert not any("point_lookup" in label for record in by_shader.passes for label in record.loops)
     assert 0.05 < np.nanmean(by_shader.visibility < 1.0) < 0.95
     if "llvmpipe" in gl.renderer:
         np.testing.assert_array_equal(by_loop.visibility, by_shader.visibility)
