@@ -115,6 +115,7 @@ def _made_from(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
 @cached("scene", 512 * MIB, key=_made_from, most=1)
 def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
     """A view's buffer with samples wherever something ends in it. The last one is kept: it is the same under any sun."""
+    multisampled.cache.clear()  # the last one goes before the next one takes its room
     frame = view.frame(scene.world)
     visible = RasterisedView(scene, view, frame)
     normals = mesh_normals(scene.objects)
