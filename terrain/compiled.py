@@ -82,7 +82,10 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def in_shares(rows: int, loop: Callable[..., Any], *args: Any) -> None:
-    """Call ``loop(first, last, *args)`` for shares of some rows, on all cores: a compiled loop holds no lock while it runs."""
+    """Call ``loop(first, last, *args)`` for shares of some rows, on all cores: a compiled loop holds no lock while it runs.
+
+    The loop itself must not call this: it would wait for the threads that it takes.
+    """
     if CORES == 1 or rows < 2 * CORES:
         loop(0, rows, *args)
         return
