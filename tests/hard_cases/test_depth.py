@@ -49,7 +49,8 @@ def depth_error_m(seen: Seen, drawn: DepthMap, height_m: float) -> float:
     With r, u, a the heights of light space's axes, the ray through its (x, y) meets a plane of height h at z = (h - x r - y u) / a.
     """
     gl, (step,) = device(), seen.plan.steps
-    held = gl.read(draw_map(gl, drawn, seen.buffer, seen.scene, step.kinds, seen.casters, step.settings, PassRecord("")), -1)
+    target = draw_map(gl, drawn, seen.buffer, seen.scene, step.kinds, seen.casters, step.settings, PassRecord(""))
+    held = gl.read(target, -1, size=drawn.texture_size)
     offset_m, window_m = np.array(drawn.uniforms["light_offset_m"]), np.array(drawn.uniforms["window_m"])
     rotation = np.array(drawn.uniforms["light_from_frame"]).reshape(3, 3).T
     cols, rows = np.meshgrid(np.arange(drawn.size[0]) + 0.5, np.arange(drawn.size[1]) + 0.5)
