@@ -61,6 +61,7 @@ def test_a_click_answers_with_the_services_own_intervals(viewer: Viewer, service
     viewer.open(f"#level={LEVEL}&time={TIME}")
     viewer.page.mouse.click(820, 300)
     expect(viewer.page.locator(".light")).to_be_visible(timeout=ANSWER_MS)
+    expect(viewer.page).to_have_url(re.compile("point="))  # the address follows a moment after the answer
     found = re.search(r"point=(-?[\d.]+,[\d.]+)", viewer.page.url)
     assert found, viewer.page.url
     report = point_of(service, found[1])
@@ -112,6 +113,7 @@ def test_another_time_asks_anew_by_keyboard_alone(viewer: Viewer, service: Clien
     viewer.page.keyboard.press("Enter")
     light = viewer.page.locator(".light")
     expect(light).to_be_visible(timeout=ANSWER_MS)
+    expect(viewer.page).to_have_url(re.compile("point="))  # the address follows a moment after the answer
     found = re.search(r"point=(-?[\d.]+,[\d.]+)", viewer.page.url)
     assert found
     viewer.page.get_by_label("Time", exact=True).fill("09:00")
