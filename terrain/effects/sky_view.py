@@ -140,7 +140,7 @@ def apply_sky_view(skylight: np.ndarray, block: ShadingBlock) -> None:
 
 
 def _made_from(block: ShadingBlock) -> tuple[object, ...]:
-    return block.buffer.position_frame_m, block.scene.elevation, block.view.rows
+    return block.buffer.position_frame_m, block.scene.elevation
 
 
 @cached("scene", 64 * MIB, key=_made_from, most=1)
