@@ -104,7 +104,7 @@ class Viewer(WatchedPage):
         return self.shown()
 
     def settled(self) -> None:
-        """Wait until the map shows what the page is set to."""
+        """Wait until the map shows what the page is set to, and the address says it."""
         end = time.monotonic() + DRAWN_S
         while True:
             self.check()
@@ -112,7 +112,7 @@ class Viewer(WatchedPage):
             if failed.count():
                 pytest.fail(f"the page says: {failed.inner_text()}", pytrace=False)
             data = self.page.evaluate("() => new Promise(requestAnimationFrame).then(() => ({...document.body.dataset}))")
-            if data.get("shown") and data.get("busy") != "true" and not self.waiting:
+            if data.get("shown") and data.get("busy") != "true" and data.get("written") != "false" and not self.waiting:
                 return
             if time.monotonic() > end:
                 pytest.fail(f"not drawn after {DRAWN_S} s: {data}, {len(self.waiting)} requests wait")

@@ -174,7 +174,12 @@ class Page {
     store.watch(({ level, date, offset }) => [level, date, offset], () => this.#learnDay());
     store.watch(writeAddress, () => {
       clearTimeout(this.#timers.write);
-      this.#timers.write = setTimeout(() => history.replaceState(null, '', writeAddress(store.state)), WRITTEN_MS);
+      // Whoever drives the page by a program can read off whether the address is behind.
+      document.body.dataset.written = 'false';
+      this.#timers.write = setTimeout(() => {
+        history.replaceState(null, '', writeAddress(store.state));
+        document.body.dataset.written = 'true';
+      }, WRITTEN_MS);
     });
     window.addEventListener('keydown', (event) => {
       const busy = (event.target as Element).closest('input, select, textarea, button, a, [contenteditable], .maplibregl-canvas, [role="slider"]');
