@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import nullcontext
 from hashlib import sha256
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from moderngl import Framebuffer
@@ -28,6 +28,8 @@ from terrain.trees.foliage import THRESHOLD, foliage
 
 MapSettings = ShadowMapSettings | LampMapSettings | PerspectiveMapSettings
 
+M = TypeVar("M")
+
 ROOM_TEXELS = 512
 """Textures of larger maps have sides that are multiples of this."""
 
@@ -47,7 +49,7 @@ def draw_map(
 ) -> Framebuffer:
     """Draw a map, unless it is still there as it was drawn before; returns its depth-only framebuffer.
 
-    Its content lasts until the next map is drawn.
+    Its content lasts until the next map but one is drawn; a block's, which is not kept, until the next one.
     """
     meshes = caster_meshes(scene, buffer, kinds)
     trees = _trees_drawn(drawn, buffer, settings.filter == "sun")
@@ -96,6 +98,16 @@ def draw_map(
     if content is not None:
         gl.depth_targets.keep(target, content)
     return target
+
+
+def drawn_ahead(maps: Sequence[M], draw: Callable[[M], Framebuffer]) -> Iterator[tuple[M, Framebuffer]]:
+    """Maps and what ``draw`` makes of each: the next one is drawn before one is handed out, so that a device that works by itself
+    goes on while it is read and looked up.
+    """
+    ahead = [draw(each) for each in maps[:1]]
+    for number, each in enumerate(maps):
+        ahead += [draw(following) for following in maps[number + 1 : number + 2]]
+        yield each, ahead.pop(0)
 
 
 def depths(gl: Device, drawn: DepthMap, target: Framebuffer) -> np.ndarray:

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from moderngl import Framebuffer
 
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.area_light import mean_over_light
 from shadows.attached import attached
-from shadows.maps.drawing import depths, draw_map
+from shadows.maps.drawing import depths, draw_map, drawn_ahead
 from shadows.maps.lookup import look_up
 from shadows.maps.post_perspective import (
     Camera,
@@ -96,10 +97,13 @@ def fill(
         shaded = receivers.any() and anything_casts(scene, buffer, kinds)
         maps = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
     gl = device()
-    for each in maps:
+
+    def draw(each: FittedMap) -> Framebuffer:
         with log.run(depth_pass) as record:
             record.note = record.note or each.note  # of any part of a view
-            target = draw_map(gl, each.drawn, buffer, scene, kinds, casters, settings, record)
+            return draw_map(gl, each.drawn, buffer, scene, kinds, casters, settings, record)
+
+    for each, target in drawn_ahead(maps, draw):
         log.keep("shadow-map", light, depths, gl, each.drawn, target)
         with log.run(visibility_pass) as record:
             position = scene.light_position(light, buffer.frame)

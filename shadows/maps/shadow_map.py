@@ -12,10 +12,11 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from moderngl import Framebuffer
 
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.area_light import mean_over_light
-from shadows.maps.drawing import depths, draw_map
+from shadows.maps.drawing import depths, draw_map, drawn_ahead
 from shadows.maps.lookup import look_up
 from shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_shadow_map
 from shadows.maps.settings import LampMapSettings, ShadowMapSettings
@@ -66,9 +67,12 @@ def fill(
             return np.ones(buffer.there.shape, np.float32)
     gl = device()
     visibility = np.ones(buffer.there.shape, np.float32)
-    for drawn in maps:
+
+    def draw(drawn: DepthMap) -> Framebuffer:
         with log.run(depth_pass) as record:
-            target = draw_map(gl, drawn, buffer, scene, kinds, casters, settings, record)
+            return draw_map(gl, drawn, buffer, scene, kinds, casters, settings, record)
+
+    for drawn, target in drawn_ahead(maps, draw):
         log.keep("shadow-map", light, depths, gl, drawn, target)
         with log.run(visibility_pass) as record:
             look_up(gl, drawn, target, buffer, scene.light_position(light, buffer.frame), settings, visibility, record)

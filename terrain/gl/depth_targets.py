@@ -10,7 +10,7 @@ from moderngl import Framebuffer
 from terrain.cache import register_cache
 
 MAX_TARGETS, MAX_TARGET_BYTES = 16, 2**28
-"""So many are held, of so many bytes together: the one used last at any size, those used before it while there is room."""
+"""So many are held, of so many bytes together: the two used last at any size, those used before them while there is room."""
 
 
 @dataclass
@@ -44,17 +44,19 @@ class DepthTargets:
         return sum(depth_bytes(*each.shape) for each in self._held)
 
     def take(self, width: int, height: int, bits: int) -> Framebuffer:
-        """One to draw in, whose content lasts until the next one of its shape is taken, unless it is kept."""
+        """One to draw in, whose content lasts until the next one of its shape is taken, or, if it is kept, while there is room: it
+        is there for sure until the one after the next is taken.
+        """
         shape = width, height, bits
-        found = next((each for each in self._held if each.shape == shape and each.content is None), None)
+        alike = [each for each in self._held if each.shape == shape]
+        found = next((each for each in alike if each.content is None), None)
+        if found is None and not self._has_room(shape):
+            # The oldest of the shape, before older ones of others: making one costs more than drawing again what was in it.
+            found = next((each for each in alike if each is not self._held[-1]), None)
+        while found is None and len(self._held) > 1 and not self._has_room(shape):
+            self._release(self._held.pop(0).framebuffer)
         if found is not None:
             self._held.remove(found)
-        while found is None and self._held and not self._has_room(shape):
-            oldest = self._held.pop(0)
-            if oldest.shape == shape:
-                found = oldest
-            else:
-                self._release(oldest.framebuffer)
         framebuffer = self._make(*shape) if found is None else found.framebuffer
         self._held.append(_Target(framebuffer, shape))
         return framebuffer

@@ -192,9 +192,41 @@ def test_few_targets_are_held_and_each_holds_what_was_drawn_in_it_last(asked):
             targets.keep(taken, (shape, content))
         assert targets.count == len(alive) <= MAX_TARGETS
         assert targets.nbytes == sum(depth_bytes(*each) for each in alive.values())
-        assert targets.nbytes <= MAX_TARGET_BYTES or targets.count == 1
+        assert targets.nbytes <= MAX_TARGET_BYTES or targets.count <= 2
     targets.clear()
     assert all(targets.kept((shape, content)) is None for shape, content in asked if content is not None)
+
+
+def test_what_follows_a_camera_is_drawn_where_older_maps_were():
+    """Three maps a frame, of three shapes, each frame's anew: soon no target is made any more."""
+    made: list[tuple[int, int, int]] = []
+
+    def make(*shape: int) -> int:
+        made.append(shape)
+        return len(made)
+
+    targets = DepthTargets(make, lambda _: None)
+    shapes = (4096, 2560, 16), (4096, 4096, 16), (5120, 4096, 16)
+    for frame in range(30):
+        if frame == 10:
+            made.clear()
+        for shape in shapes:
+            targets.keep(targets.take(*shape), (frame, shape))
+    assert not made
+
+
+def test_a_map_is_there_while_the_next_one_is_drawn():
+    """However large they are, and whatever their shapes."""
+    made = itertools.count()
+    released: list[int] = []
+    targets = DepthTargets(lambda *shape: next(made), released.append)
+    before = None
+    for number, side in enumerate((16384, 16384, 8192, 16384, 64, 16384, 64)):
+        taken = targets.take(side, side, 32)
+        targets.keep(taken, number)
+        assert before is None or (before not in released and targets.kept(number - 1) == before != taken)
+        targets.kept(number)
+        before = taken
 
 
 def test_the_targets_used_last_stay_longest():
