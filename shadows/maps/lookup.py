@@ -93,7 +93,7 @@ def look_up(
         parts = (drawn.pixels[:split], settings.filter), (drawn.pixels[split:], sample_filter)
         flat = [a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)]
         if settings.filter != "sun" and not drawn.uniforms["lamp"] and drawn.is_uniform:
-            depths = gl.read(target, -1, "u2" if drawn.depth_bits == 16 else "f4", size=drawn.size)
+            depths = gl.read(target, -1, "u2" if drawn.depth_bits == 16 else "f4", size=drawn.size, lent=True)
             record.bytes = max(record.bytes, drawn.nbytes + depths.nbytes)
             points = LitPoints(flat[0], flat[1], flat[2][:, 0], flat[3])
             for part, filter in parts:

@@ -37,7 +37,12 @@ def trees_that_matter(drawn: DepthMap, buffer: GeometryBuffer, soft: bool) -> np
             farthest,
         )  # fmt: skip
         beside_m = (MAP_BORDER_TEXELS + (WIDEST_TEXELS if soft else 0)) * texel_m
-        which = _shading(trees.base_frame_m, trees.shape, which, rotation, translation, cells, farthest.max(axis=0), beside_m)
+        matters = np.empty(len(which), np.bool_)
+        in_shares(
+            len(which), _shading, trees.base_frame_m, trees.shape, which, rotation, translation, cells, farthest.max(axis=0), beside_m,
+            matters,
+        )  # fmt: skip
+        which = which[matters]
     return trees.nearest_first(which, rotation[2])
 
 
@@ -57,12 +62,11 @@ def _farthest_receivers(first, last, parts, position, chosen, rotation, translat
 
 
 @compiled
-def _shading(base, shape, which, rotation, translation, cells, farthest, beside_m):
+def _shading(first, last, base, shape, which, rotation, translation, cells, farthest, beside_m, out):
     rows, cols = farthest.shape
-    out = np.empty(len(which), np.int64)
-    count = 0
     middle = np.empty(3)
-    for n in which:
+    for m in range(first, last):
+        n = which[m]
         radius = tree_radius(shape[n])
         for k in range(3):
             middle[k] = (
@@ -83,7 +87,4 @@ def _shading(base, shape, which, rotation, translation, cells, farthest, beside_
                     break
             if matters:
                 break
-        if matters:
-            out[count] = n
-            count += 1
-    return out[:count].copy()
+        out[m] = matters

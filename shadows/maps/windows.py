@@ -10,7 +10,7 @@ import numpy as np
 from shadows.attached import attached
 from shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
 from shadows.maps.sun_disc import border_texels
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.grid import MapView
@@ -199,26 +199,38 @@ def _depths_seen(points, here, position, faces, tangent):
     return nearest, farthest
 
 
-@compiled
-def distances(points, eye):
+def distances(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
     """Distances (rows, cols) float32 of points (rows, cols, 3) from an eye; NaN where there is no point."""
     out = np.empty(points.shape[:2], np.float32)
-    for i in range(points.shape[0]):
-        for j in range(points.shape[1]):
-            p = points[i, j]
-            out[i, j] = np.sqrt((p[0] - eye[0]) ** 2 + (p[1] - eye[1]) ** 2 + (p[2] - eye[2]) ** 2)
+    in_shares(len(points), _distances, points, eye, out)
     return out
 
 
 @compiled
-def _nearer_m(normal, corners, position, here, rotation, aside_m):
+def _distances(first, last, points, eye, out):
+    for i in range(first, last):
+        for j in range(points.shape[1]):
+            p = points[i, j]
+            out[i, j] = np.sqrt((p[0] - eye[0]) ** 2 + (p[1] - eye[1]) ** 2 + (p[2] - eye[2]) ** 2)
+
+
+def _nearer_m(
+    normal: np.ndarray, corners: np.ndarray, position: np.ndarray, here: np.ndarray, rotation: np.ndarray, aside_m: np.ndarray
+) -> float:
     """How much nearer to the sun than a point the map may hold the triangle that it lies on, at the texels' centres up to
     ``aside_m`` (2,) right and up of it: at most, over the points (rows, cols) that are ``here``.
 
     Depths before the map's first are all one: a triangle that began there could not be told from what casts on it.
     """
-    most = 0.0
-    for i in range(here.shape[0]):
+    most_m = np.empty(len(here))
+    in_shares(len(here), _nearer_in_rows, normal, corners, position, here, rotation, aside_m, most_m)
+    return float(most_m.max(initial=0.0))
+
+
+@compiled
+def _nearer_in_rows(first, last, normal, corners, position, here, rotation, aside_m, out):
+    for i in range(first, last):
+        most = 0.0
         for j in range(here.shape[1]):
             if not here[i, j]:
                 continue
@@ -233,25 +245,29 @@ def _nearer_m(normal, corners, position, here, rotation, aside_m):
                 x, y, z = p[0] - c[k], p[1] - c[k + 1], p[2] - c[k + 2]
                 corner = max(corner, rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z)
             most = max(most, min(slant / facing if facing > 0.0 else corner, corner))
-    return most
+        out[i] = most
 
 
 def _extent_m(buffer: GeometryBuffer, here: np.ndarray) -> float:
     """The largest coordinate of the points that are ``here`` and of their triangles, whose corners may lie far out of sight."""
     extent_m = float(np.abs(light_bounds(buffer.position_frame_m, here, np.eye(3), np.zeros(3))).max())
-    return extent_m if buffer.corners_frame_m is None else max(extent_m, float(_farthest_corner(buffer.corners_frame_m, here)))
+    if buffer.corners_frame_m is None:
+        return extent_m
+    farthest = np.empty(len(here), np.float32)
+    in_shares(len(here), _farthest_corners, buffer.corners_frame_m, here, farthest)
+    return max(extent_m, float(farthest.max(initial=0.0)))
 
 
 @compiled
-def _farthest_corner(corners, here):
-    """The largest coordinate of corners (rows, cols, 9) that are ``here``."""
-    most = 0.0
-    for i in range(here.shape[0]):
+def _farthest_corners(first, last, corners, here, out):
+    """The largest coordinate, in each row, of corners (rows, cols, 9) that are ``here``."""
+    for i in range(first, last):
+        most = np.float32(0.0)
         for j in range(here.shape[1]):
             if here[i, j]:
                 for k in range(9):
                     most = max(most, abs(corners[i, j, k]))
-    return most
+        out[i] = most
 
 
 def depth_steps(depth_bits: int) -> int:

@@ -159,12 +159,11 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
         windows.setdefault(patch.level, []).append((row0, col0, height_m))
     grounds = [_ground(rays, window.columns, detail, windows[detail]) for detail in sorted(windows)]
     number, pixel = _numbered(buffer, placed, window.height_m.size)
-    position = buffer.position_frame_m.reshape(-1, 3)[pixel]
-    t, level_m, towards_m = rays.t_level_towards(position, buffer.frame)
+    t, level_m, towards_m = rays.t_level_towards(buffer.position_frame_m, buffer.frame, pixel)
     on_columns = buffer.kind.ravel()[pixel] == RELIEF
     level_m[on_columns] = np.nan
     row, col = placed.row.ravel()[pixel] + float(window.row0), placed.col.ravel()[pixel] + float(window.col0)
-    row[~on_columns], col[~on_columns] = rays.rows_and_columns(position[~on_columns], buffer.frame)
+    row[~on_columns], col[~on_columns] = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixel[~on_columns])
     turned_row, _ = rays.turn.onto(row - grounds[0].row0, col - grounds[0].col0, *grounds[0].shape)
     height_m = buffer.height_m.ravel()[pixel].astype(np.float64)
     return ColumnSweep(rays, grounds, number, turned_row, t, height_m, level_m, towards_m)

@@ -55,6 +55,14 @@ class GridOrientation:
         i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
         return (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
 
+    def put_onto(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """``onto`` in the memory of the arrays that it takes: fresh memory for many points costs more than the arithmetic."""
+        i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
+        for turned, at, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
+            if turned:
+                np.subtract(last, at, out=at)
+        return i, j
+
     def origin(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of a grid (rows, cols) for those of the turned one; any numbers."""
         n, m = (cols, rows) if self.swapped else (rows, cols)

@@ -61,29 +61,34 @@ class SunRays:
     rise: float
     aside: float
 
-    def t_level_towards(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """t, levels, and metres towards the sun (n,) of points (n, 3) of a frame."""
-        out = np.empty((3, len(point_frame_m)))
+    def t_level_towards(
+        self, point_frame_m: np.ndarray, frame: LocalFrame, which: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """t, levels, and metres towards the sun (n,) of those points (..., 3) of a frame that have some numbers (n,)."""
+        out = np.empty((3, len(which)))
         in_shares(
-            len(point_frame_m), _in_rays, point_frame_m, *self.light.from_frame(frame), self.right_m, self.cell_m, self.level_m, out
+            len(which), _in_rays, point_frame_m.reshape(-1, 3), which, *self.light.from_frame(frame), self.right_m, self.cell_m,
+            self.level_m, out,
         )  # fmt: skip
         return out[0], out[1], out[2]
 
-    def rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns (n,) on the grid of points (n, 3) of a frame, right to ``FITTED_NODES``.
+    def rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns (n,) on the grid, right to ``FITTED_NODES``, of those points (..., 3) of a frame that have some numbers
+        (n,).
 
         Of many points most are placed by cubics that are fitted to some: PROJ takes a microsecond for each.
         """
-        if len(point_frame_m) <= 2 * FITTED_POINTS:
-            return self._exact_rows_and_columns(point_frame_m, frame)
-        fit_points = point_frame_m[np.linspace(0, len(point_frame_m) - 1, FITTED_POINTS).astype(int)]
+        points = point_frame_m.reshape(-1, 3)
+        if len(which) <= 2 * FITTED_POINTS:
+            return self._exact_rows_and_columns(points[which], frame)
+        fit_points = points[which[np.linspace(0, len(which) - 1, FITTED_POINTS).astype(int)]]
         exact = np.stack(self._exact_rows_and_columns(fit_points, frame), axis=1)
         middle, scale = fit_points.mean(axis=0), max(float(np.abs(fit_points - fit_points.mean(axis=0)).max()), 1.0)
         known = _fitted(_cubic_terms((fit_points - middle) / scale), exact)
-        approximate = _placed(fit_points, middle, scale, known)
+        approximate = _placed(fit_points, np.arange(FITTED_POINTS), middle, scale, known)
         if not np.abs(np.stack(approximate, axis=1) - exact).max() <= FITTED_NODES:
-            return self._exact_rows_and_columns(point_frame_m, frame)
-        return _placed(point_frame_m, middle, scale, known)
+            return self._exact_rows_and_columns(points[which], frame)
+        return _placed(points, which, middle, scale, known)
 
     def _exact_rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
         x, y, _ = self.scene.world.map_position(self.grid.crs, frame.points_to_earth(point_frame_m))
@@ -245,7 +250,7 @@ def ground_of_level(scene: Scene, drawn: GroundMesh, frame: LocalFrame, soft: bo
         return rays, _ground(rays, 0, [HeightWindow(nodes.row0, nodes.col0, nodes.height_m, np.isfinite(nodes.height_m))], soft)
     row, col = np.rint((drawn.grid.y0 - drawn.y) / drawn.grid.step), np.rint((drawn.x - drawn.grid.x0) / drawn.grid.step)
     corner = np.stack([row - nodes.row0, col - nodes.col0], axis=1).astype(np.int32)
-    _, level_m, towards_m = rays.t_level_towards(drawn.position_frame_m, frame)
+    _, level_m, towards_m = rays.t_level_towards(drawn.position_frame_m, frame, np.arange(len(drawn.position_frame_m)))
     levels = rays.turned(_on_triangles(corner, level_m, drawn.triangles, rows, cols))
     towards = rays.turned(_on_triangles(corner, towards_m, drawn.triangles, rows, cols)) if soft else NO_LEVELS
     falls = np.pad(rays.turn.turned_cuts(_falling_quads(corner, drawn.triangles, rows, cols)), ((0, 0), (1, 1)))
@@ -328,18 +333,20 @@ def _fitted(terms: np.ndarray, exact: np.ndarray) -> np.ndarray:
     return np.linalg.lstsq(terms, exact, rcond=None)[0]  # points of a plane: some terms say the same
 
 
-def _placed(points: np.ndarray, middle: np.ndarray, scale: float, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sums of the terms of points (n, 3) with two columns of factors (13, 2)."""
-    out = np.empty((2, len(points)))
-    in_shares(len(points), _sum_of_terms, points, middle, scale, known, out)
+def _placed(
+    points: np.ndarray, which: np.ndarray, middle: np.ndarray, scale: float, known: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums of the terms of those points (m, 3) that have some numbers (n,) with two columns of factors (13, 2)."""
+    out = np.empty((2, len(which)))
+    in_shares(len(which), _sum_of_terms, points, which, middle, scale, known, out)
     return out[0], out[1]
 
 
 @compiled
-def _sum_of_terms(first, last, points, middle, scale, known, out):
+def _sum_of_terms(first, last, points, which, middle, scale, known, out):
     for n in range(first, last):
-        x, y = (points[n, 0] - middle[0]) / scale, (points[n, 1] - middle[1]) / scale
-        z = (points[n, 2] - middle[2]) / scale
+        p = points[which[n]]
+        x, y, z = (p[0] - middle[0]) / scale, (p[1] - middle[1]) / scale, (p[2] - middle[2]) / scale
         terms = (1.0, x, y, z, x * x, x * y, y * y, x * z, y * z, x * x * x, x * x * y, x * y * y, y * y * y)
         a = b = 0.0
         for k in range(13):
@@ -349,10 +356,10 @@ def _sum_of_terms(first, last, points, middle, scale, known, out):
 
 
 @compiled
-def _in_rays(first, last, points, rotation, translation, right_m, cell_m, level_m, out):
-    """t, level and metres towards the sun of points (n, 3)."""
+def _in_rays(first, last, points, which, rotation, translation, right_m, cell_m, level_m, out):
+    """t, level and metres towards the sun of those points (m, 3) that have some numbers (n,)."""
     for n in range(first, last):
-        p = points[n]
+        p = points[which[n]]
         right = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + translation[0]
         up = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + translation[1]
         away = rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2] + translation[2]

@@ -82,13 +82,14 @@ def fill(
             return _over_columns(buffer, scene, light, casters, strips_of_sun(STRIPS) if soft else np.zeros(1), log, record)
         rays, grounds = _grounds(buffer, scene, casters, soft)
         targets = _asked(rays, grounds[-1], buffer)
-        visibility = np.zeros(buffer.there.shape, np.float32)
-        angles = strips_of_sun(STRIPS) if soft else np.zeros(1)
-        for angle in angles:
-            visibility += _seen(rays, grounds, targets, settings.lines, angle)
         log.keep("shadow-height", light, _shadow_height_m, rays, grounds, targets, settings.lines, buffer.height_m)
         record.bytes = max(record.bytes, _bytes(grounds, targets, soft))
-        return visibility / np.float32(len(angles))
+        if not soft:
+            return _seen(rays, grounds, targets, settings.lines, 0.0).astype(np.float32)
+        visibility = np.zeros(buffer.there.shape, np.float32)
+        for angle in strips_of_sun(STRIPS):
+            visibility += _seen(rays, grounds, targets, settings.lines, angle)
+        return visibility / np.float32(STRIPS)
 
 
 def _over_columns(
@@ -239,26 +240,27 @@ def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Aske
     others = buffer.there & ~nodes
     rows, cols, window = (0, 0), (0, 0), (slice(0), slice(0))
     pixels = np.flatnonzero(others)
-    points = np.empty((len(pixels), 3))
-    in_shares(len(pixels), _picked, buffer.position_frame_m.reshape(-1, 3), pixels, points)
-    t, level_m, towards_m = rays.t_level_towards(points, buffer.frame)
+    t, level_m, towards_m = rays.t_level_towards(buffer.position_frame_m, buffer.frame, pixels)
     if isinstance(view, MapView):
         if nodes.any():
             rows, cols, window = _window_of(rays, ground, view)
         place = np.divmod(pixels, view.cols)
         row, col = view.row0 + place[0] * view.row_step, view.col0 + place[1] * view.col_step
     else:
-        row, col = rays.rows_and_columns(points, buffer.frame)
-    turned_row, turned_col = rays.turn.onto(row - ground.row0, col - ground.col0, *ground.shape)
-    level_m[on_triangles.reshape(-1)[pixels]] = np.nan
+        row, col = rays.rows_and_columns(buffer.position_frame_m, buffer.frame, pixels)
+    row -= ground.row0
+    col -= ground.col0
+    turned_row, turned_col = rays.turn.put_onto(row, col, *ground.shape)
+    in_shares(len(pixels), _unset, level_m, on_triangles.reshape(-1), pixels)
     return _Asked(_t_range(rays, buffer), nodes, rows, cols, window, others, turned_row, turned_col, t, level_m, towards_m)
 
 
 @compiled
-def _picked(first, last, values, which, out):
+def _unset(first, last, values, mask, which):
+    """Make values (n,) NaN where a mask (m,) holds at their places (n,) in it."""
     for n in range(first, last):
-        for k in range(3):
-            out[n, k] = values[which[n], k]
+        if mask[which[n]]:
+            values[n] = np.nan
 
 
 def _swept(
@@ -272,7 +274,7 @@ def _swept(
         entry = state_after(before.tilted(angle), lines, own_range, entry, 2.0 ** (detail - before.detail), before.begin)
         detail = before.detail
     sheet = ground.tilted(angle)
-    own_m = np.cos(angle) * targets.level_m - np.sin(angle) * targets.towards_m
+    own_m = targets.level_m if angle == 0.0 else np.cos(angle) * targets.level_m - np.sin(angle) * targets.towards_m
     points = SweepPoints(targets.row, targets.col, targets.t, own_m, LEVEL_ROUNDING * _highest_m(sheet.level, targets))
     return sweep_nodes(
         sheet, lines, targets.t_range, entry, 2.0**detail, targets.rows, targets.cols, points, shade, CORES, ground.begin

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import NEAR_M
 from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of, imagery_of
@@ -84,10 +84,8 @@ class MultisampledBuffer:
     def averaged(self, linear: np.ndarray) -> np.ndarray:
         """The picture (rows, cols, k) of what was computed for all points: means of the samples where there are any."""
         out = linear[: self.rows].copy()
-        row, col = self.pixels
-        if len(row):
-            samples = linear[self.rows :].reshape(-1, linear.shape[-1])[: len(row) * self.each]
-            out[row, col] = (out[row, col] + samples.reshape(len(row), self.each, -1).sum(axis=1)) / (1 + self.each)
+        samples = linear[self.rows :].reshape(-1, linear.shape[-1])
+        in_shares(len(self.pixels[0]), _mix_in, *self.pixels, samples, self.each, out)
         return out
 
 
@@ -152,6 +150,17 @@ def edges_between(number: np.ndarray, depth: np.ndarray, ground: int, normals: n
 def edges_in_neighbours(number: np.ndarray, away_m: np.ndarray, ground: int, normals: np.ndarray) -> np.ndarray:
     """The same (n,) of single pixels, the first of ``CROSS`` along the last axis of numbers and distances (n, 5)."""
     return _crossed(number, away_m, ground, normals, BEND, JUMP)
+
+
+@compiled
+def _mix_in(first, last, row, col, samples, each, out):
+    """Put the mean of a pixel and its samples, which follow one another (n * each, k), into the picture."""
+    for n in range(first, last):
+        for k in range(out.shape[2]):
+            total = samples[n * each, k]
+            for m in range(1, each):
+                total += samples[n * each + m, k]
+            out[row[n], col[n], k] = (out[row[n], col[n], k] + total) / (1 + each)
 
 
 @compiled

@@ -20,7 +20,7 @@ from terrain.ground.decimation import NodeErrors, decimate, errors_m
 from terrain.ground.elevation import Elevation
 from terrain.ground.sheet import sheet_of
 from terrain.ground.surface import Surface, step_at_anchor_m
-from terrain.meshes.facets import creases, face_normals, smooth_normals
+from terrain.meshes.facets import creases, face_normals, faces_round, smooth_normals
 from terrain.scene import Scene
 
 MAX_GROUND_TRIANGLES = 2_000_000
@@ -133,9 +133,9 @@ def _mesh(
     """The mesh of triangles of some of the ground's nodes, in a frame."""
     grid, height = nodes.grid, nodes.height_m[row, col]
     position = Surface(world, elevation, grid).positions(row + nodes.row0, col + nodes.col0, height, frame)
-    faces = face_normals(position, triangles)
+    faces, around = face_normals(position, triangles), faces_round(len(position), triangles)
     return GroundMesh(
-        position, height, smooth_normals(faces, triangles, len(position)), triangles, creases(position, faces, triangles, 2.0),
+        position, height, smooth_normals(faces, around), triangles, creases(position, faces, triangles, around, 2.0),
         np.asarray(grid.x(col + nodes.col0)), np.asarray(grid.y(row + nodes.row0)), grid, tolerance,
     )  # fmt: skip
 

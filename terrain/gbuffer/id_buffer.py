@@ -78,7 +78,7 @@ def rasterise_perspective(
     ahead = _in_view(ground.position_frame_m, ground.triangles, eye, camera_from_frame, ends)
     with gl.visible_pass(target):
         if wanted is not None:  # what is nearer than all hides the rest before it costs anything
-            gl.write_depths(target, np.where(wanted, np.float32(0.0), np.float32(1.0)))
+            gl.write_depths(target, np.subtract(np.float32(1.0), wanted, dtype=np.float32))
         program = _program(gl, "visible.vert", "visible.frag", uniforms)
         gl.draw_triangles(program, ground.position_frame_m, ground.triangles[ahead], 0)
         drawn = len(ground.triangles)

@@ -74,14 +74,18 @@ class TreeInstances:
 
     def reaching(self, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Indices of the trees whose bounding spheres, in the axes ``rotation @ point + translation``, reach into bounds (3,)."""
-        return _reaching(self.base_frame_m, self.shape, rotation, translation, low, high)
+        found = np.empty(len(self), np.bool_)
+        in_shares(len(self), _reaching, self.base_frame_m, self.shape, rotation, translation, low, high, found)
+        return np.flatnonzero(found)
 
     def in_cone(self, eye: np.ndarray, rotation: np.ndarray, tangents: np.ndarray) -> np.ndarray:
         """Indices of the trees whose bounding spheres reach into a pyramid from an eye along the third axis of ``rotation``.
 
         ``tangents`` are its least and greatest x / z and y / z.
         """
-        return _in_cone(self.base_frame_m, self.shape, eye, rotation, tangents)
+        found = np.empty(len(self), np.bool_)
+        in_shares(len(self), _in_cone, self.base_frame_m, self.shape, eye, rotation, tangents, found)
+        return np.flatnonzero(found)
 
     def nearest_first(self, which: np.ndarray, ahead: np.ndarray) -> np.ndarray:
         """The trees at some indices in their order along a direction (3,): what a rasteriser finds hidden it need not colour."""
@@ -137,16 +141,22 @@ def _stand(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndar
     base = _bases(objects, frame)[number]
     half, height = trees.crown_m[number] / 2.0, trees.height_m[number]
     crown_height = np.array([variant.crown_height for variant in TREE_VARIANTS], np.float32)[trees.variant[number]]
-    turn = np.radians(trees.turn_deg[number].astype(np.float64))
     return TreeInstances(
         number=number,
         base_frame_m=base,
         base_height_m=objects.tree_heights_m[number],
         shape=(np.stack([half, half, height, height * crown_height], axis=1) / np.sqrt(share)[:, None]).astype(np.float32),
-        turn=np.stack([np.cos(turn), np.sin(turn)], axis=1).astype(np.float32),
+        turn=_turns(trees)[number],
         variant=trees.variant[number].astype(np.int32),
         curvature=objects.world.curvature,
     )
+
+
+@cached("scene", 64 * MIB)
+def _turns(trees: Trees) -> np.ndarray:
+    """Cosines and sines (n, 2) float32 of all trees' turns."""
+    turn = np.radians(trees.turn_deg.astype(np.float64))
+    return np.stack([np.cos(turn), np.sin(turn)], axis=1).astype(np.float32)
 
 
 @cached("scene", 256 * MIB, key=_made_from)
@@ -198,10 +208,8 @@ def tree_radius(shape):
 
 
 @compiled
-def _reaching(base, shape, rotation, translation, low, high):
-    out = np.empty(len(base), np.int64)
-    count = 0
-    for n in range(len(base)):
+def _reaching(first, last, base, shape, rotation, translation, low, high, found):
+    for n in range(first, last):
         radius = tree_radius(shape[n])
         inside = True
         for k in range(3):
@@ -210,18 +218,13 @@ def _reaching(base, shape, rotation, translation, low, high):
                 + translation[k]
             )  # fmt: skip
             inside = inside and v + radius >= low[k] and v - radius <= high[k]
-        if inside:
-            out[count] = n
-            count += 1
-    return out[:count].copy()
+        found[n] = inside
 
 
 @compiled
-def _in_cone(base, shape, eye, rotation, tangents):
-    out = np.empty(len(base), np.int64)
-    count = 0
+def _in_cone(first, last, base, shape, eye, rotation, tangents, found):
     at = np.empty(3)
-    for n in range(len(base)):
+    for n in range(first, last):
         radius = tree_radius(shape[n])
         for k in range(3):
             at[k] = (
@@ -233,10 +236,7 @@ def _in_cone(base, shape, eye, rotation, tangents):
             low, high = tangents[axis, 0], tangents[axis, 1]
             inside = inside and at[axis] - low * at[2] > -radius * np.sqrt(1.0 + low * low)
             inside = inside and high * at[2] - at[axis] > -radius * np.sqrt(1.0 + high * high)
-        if inside:
-            out[count] = n
-            count += 1
-    return out[:count].copy()
+        found[n] = inside
 
 
 @compiled

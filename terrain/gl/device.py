@@ -61,6 +61,7 @@ class Device:
         self._float_target: moderngl.Framebuffer | None = None
         self._visible_targets: list[moderngl.Framebuffer] = []  # the one used last at the end
         self.stencil = Stencil(self.ctx, self.require_current, self.check, lambda: self._parking.use())
+        self._lent: dict[str, np.ndarray] = {}  # of each kind of texel
         self._layers: Cache[moderngl.TextureArray] = Cache(
             "terrain.gl.device.layers", "process", 256 * MIB, _layers_bytes, moderngl.TextureArray.release
         )
@@ -332,21 +333,33 @@ class Device:
         kind: str = "f4",
         components: int = 1,
         size: tuple[int, int] | None = None,
+        lent: bool = False,
     ) -> np.ndarray:
         """Read an attachment (-1: the depth) as (rows, cols) or (rows, cols, components), all of it or the first texels (across,
         down); row 0 is the first texel row.
 
-        ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for steps of 16-bit depths. Raises
-        ``GraphicsError`` with the wrong context, so that a mistake can never return other memory's bytes.
+        ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for steps of 16-bit depths. What is ``lent`` is
+        the device's own memory and holds until the next such reading: fresh memory for a large map costs more than its reading.
+        Raises ``GraphicsError`` with the wrong context, so that a mistake can never return other memory's bytes.
         """
         self.require_current()
         width, height = size or target.size
         shape = (height, width) if components == 1 else (height, width, components)
-        out = np.zeros(shape, {"f4": np.float32, "u4": np.uint32, "f1": np.uint8, "u2": np.uint16}[kind])
+        kind_of_texel = {"f4": np.float32, "u4": np.uint32, "f1": np.uint8, "u2": np.uint16}[kind]
+        out = self._memory_lent(kind, kind_of_texel, shape) if lent else np.zeros(shape, kind_of_texel)
         window = 0, 0, width, height
         target.read_into(out, window, components=components, attachment=attachment, dtype=kind, alignment=out.itemsize)
         self.check("read")
         return out
+
+    def _memory_lent(self, kind: str, kind_of_texel: type[np.generic], shape: tuple[int, ...]) -> np.ndarray:
+        """Zeroed memory that is used again and again."""
+        count = int(np.prod(shape))
+        memory = self._lent.get(kind)
+        if memory is None or memory.size < count:
+            memory = self._lent[kind] = np.empty(count, kind_of_texel)
+        memory[:count] = 0
+        return memory[:count].reshape(shape)
 
     def _release_target(self, target: moderngl.Framebuffer, *textures: moderngl.Texture | moderngl.Renderbuffer) -> None:
         self._parking.use()  # moderngl would bind a released framebuffer again if it was the current one

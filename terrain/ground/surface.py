@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, in_shares
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
@@ -140,7 +140,12 @@ class Surface:
         row0, col0 = int(row.min()), int(col.min())
         rows, cols = int(row.max()) - row0 + 1, int(col.max()) - col0 + 1
         exact, exact_rows, exact_cols = self.exact_verticals(row0, col0, rows, cols, frame)
-        return _scattered(exact, exact_rows, exact_cols, self.stride, row.astype(np.int64), col.astype(np.int64), height_m)
+        out = np.empty((len(row), 3))
+        in_shares(
+            len(row), _scattered, exact, exact_rows, exact_cols, self.stride, row.astype(np.int64), col.astype(np.int64), height_m,
+            out,
+        )  # fmt: skip
+        return out
 
     def points(self, row0: int, col0: int, height_m: np.ndarray, frame: LocalFrame) -> np.ndarray:
         """Frame points (rows, cols, 3) float64 of a window's nodes with their heights."""
@@ -529,17 +534,15 @@ def _positions(exact, first_row, first_col, stride, row0, col0, height):
 
 
 @compiled
-def _scattered(exact, first_row, first_col, stride, row, col, height):
+def _scattered(first, last, exact, first_row, first_col, stride, row, col, height, out):
     """As ``_positions``, for single nodes; sums in the same order, so that the bits are the same."""
-    out = np.empty((row.size, 3))
-    for n in range(row.size):
+    for n in range(first, last):
         m, w = row[n] // stride, cubic_weights((row[n] - row[n] // stride * stride) / stride)
         p, v = col[n] // stride, cubic_weights((col[n] - col[n] // stride * stride) / stride)
         m, p = m - first_row, p - first_col
         for k in range(3):
             ground = _cubic(exact, m, p, w, v, k)
             out[n, k] = ground + np.float64(height[n]) * _cubic(exact, m, p, w, v, k + 3)
-    return out
 
 
 @compiled

@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from terrain.compiled import compiled, in_shares
 
 
-@compiled
-def face_normals(position, triangles):
-    """Unit normals (m, 3) float32 of triangles; 0 where one has no area."""
+class FacesRound(NamedTuple):
+    """The faces round each of n nodes: where they begin (n + 1,) in a list of them, and that list, in the faces' order."""
+
+    start: np.ndarray
+    faces: np.ndarray
+
+
+def faces_round(nodes: int, triangles: np.ndarray) -> FacesRound:
+    """The faces round each node of a mesh of triangles (m, 3)."""
+    return FacesRound(*_faces_round(nodes, triangles))
+
+
+def face_normals(position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Unit normals (m, 3) float32 of triangles (m, 3) of positions (n, 3); 0 where one has no area."""
     out = np.zeros((len(triangles), 3), np.float32)
-    for t in range(len(triangles)):
+    in_shares(len(triangles), _face_normals, position, triangles, out)
+    return out
+
+
+@compiled
+def _face_normals(first, last, position, triangles, out):
+    for t in range(first, last):
         o, a, b = position[triangles[t, 0]], position[triangles[t, 1]], position[triangles[t, 2]]
         ax, ay, az = a[0] - o[0], a[1] - o[1], a[2] - o[2]
         bx, by, bz = b[0] - o[0], b[1] - o[1], b[2] - o[2]
@@ -19,39 +38,39 @@ def face_normals(position, triangles):
         length = np.sqrt(x * x + y * y + z * z)
         if length > 0.0:
             out[t, 0], out[t, 1], out[t, 2] = x / length, y / length, z / length
+
+
+def smooth_normals(faces: np.ndarray, around: FacesRound) -> np.ndarray:
+    """Unit normals (n, 3) float32 at nodes: the mean of those (m, 3) of the faces round each."""
+    out = np.zeros((len(around.start) - 1, 3), np.float32)
+    in_shares(len(out), _smooth_normals, faces, around, out)
     return out
 
 
 @compiled
-def smooth_normals(faces, triangles, nodes):
-    """Unit normals (n, 3) float32 at nodes: the mean of the faces round each."""
-    out = np.zeros((nodes, 3), np.float32)
-    for t in range(len(triangles)):
-        for k in range(3):
+def _smooth_normals(first, last, faces, around, out):
+    for n in range(first, last):
+        for i in range(around.start[n], around.start[n + 1]):
             for c in range(3):
-                out[triangles[t, k], c] += faces[t, c]
-    for n in range(nodes):
+                out[n, c] += faces[around.faces[i], c]
         length = np.sqrt(out[n, 0] ** 2 + out[n, 1] ** 2 + out[n, 2] ** 2)
         if length > 0.0:
             for c in range(3):
                 out[n, c] /= length
-    return out
 
 
-def creases(position: np.ndarray, faces: np.ndarray, triangles: np.ndarray, limit: float) -> np.ndarray:
+def creases(position: np.ndarray, faces: np.ndarray, triangles: np.ndarray, around: FacesRound, limit: float) -> np.ndarray:
     """How much a mesh bends up round each face: the largest distance (m,) float32, below ``limit``, between its unit normal and
     those of faces that share a node with it and rise above its plane. What bends down is behind the plane as the light sees it,
     and cannot be taken for something in front.
     """
     out = np.zeros(len(triangles), np.float32)
-    if len(triangles):
-        in_shares(len(triangles), _creases, position, faces, triangles, limit, *_faces_round(len(position), triangles), out)
+    in_shares(len(triangles), _creases, position, faces, triangles, around, limit, out)
     return out
 
 
 @compiled
 def _faces_round(nodes, triangles):
-    """Where the faces round each node begin (n + 1,) in a list of them, and that list."""
     start = np.zeros(nodes + 1, np.int64)
     for t in range(len(triangles)):
         for k in range(3):
@@ -69,13 +88,13 @@ def _faces_round(nodes, triangles):
 
 
 @compiled
-def _creases(first, last, position, faces, triangles, limit, start, around, out):
+def _creases(first, last, position, faces, triangles, around, limit, out):
     for t in range(first, last):
         worst = 0.0
         for k in range(3):
             n = triangles[t, k]
-            for i in range(start[n], start[n + 1]):
-                u = around[i]
+            for i in range(around.start[n], around.start[n + 1]):
+                u = around.faces[i]
                 d = (faces[t, 0] - faces[u, 0]) ** 2 + (faces[t, 1] - faces[u, 1]) ** 2 + (faces[t, 2] - faces[u, 2]) ** 2
                 if d > worst and d < limit * limit and _rises(position, triangles[u], position[triangles[t, 0]], faces[t]):
                     worst = d
