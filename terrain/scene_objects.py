@@ -99,7 +99,7 @@ class SceneObjects:
             return np.zeros(0, np.float32)
         vertices, triangles = self.solids.vertices_earth_m, self.solids.triangles
         faces, around = face_normals(vertices, triangles), faces_round(len(vertices), triangles)
-        return creases(vertices, faces, triangles, around, CREASE_DISTANCE)
+        return creases(vertices, faces, triangles, around, CREASE_DISTANCE, np.ones(len(triangles), np.bool_))
 
     @cached_property
     def tree_heights_m(self) -> np.ndarray:

@@ -39,8 +39,8 @@ def trees_that_matter(drawn: DepthMap, buffer: GeometryBuffer, soft: bool) -> np
         beside_m = (MAP_BORDER_TEXELS + (WIDEST_TEXELS if soft else 0)) * texel_m
         matters = np.empty(len(which), np.bool_)
         in_shares(
-            len(which), _shading, trees.base_frame_m, trees.shape, which, rotation, translation, cells, farthest.max(axis=0), beside_m,
-            matters,
+            len(which), _shading, trees.base_frame_m, trees.shape, which, rotation, translation, cells, farthest.max(axis=0),
+            beside_m, matters,
         )  # fmt: skip
         which = which[matters]
     return trees.nearest_first(which, rotation[2])

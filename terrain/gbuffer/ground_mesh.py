@@ -13,6 +13,7 @@ import numpy as np
 from pyproj import CRS
 
 from terrain.cache import MIB, cached
+from terrain.compiled import compiled, in_shares
 from terrain.geo.camera import FRAME_SHARE, PerspectiveView
 from terrain.geo.grid import Grid, map_grid
 from terrain.geo.world import LocalFrame, World, transformer
@@ -20,7 +21,7 @@ from terrain.ground.decimation import NodeErrors, decimate, errors_m
 from terrain.ground.elevation import Elevation
 from terrain.ground.sheet import sheet_of
 from terrain.ground.surface import Surface, step_at_anchor_m
-from terrain.meshes.facets import creases, face_normals, faces_round, smooth_normals
+from terrain.meshes.facets import FacesRound, creases, face_normals, faces_round, smooth_normals
 from terrain.scene import Scene
 
 MAX_GROUND_TRIANGLES = 2_000_000
@@ -50,8 +51,8 @@ class GroundMesh:
         float32 (n, 3), smooth unit normals.
     triangles
         int32 (m, 3), counter-clockwise from above.
-    crease
-        float32 (m,), how much the mesh bends up round a triangle (``terrain.meshes.facets.creases``).
+    face_normal_frame, faces_round
+        float32 (m, 3), the triangles' unit normals, and the triangles round each node (``terrain.meshes.facets``).
     x, y
         float64 (n,), map coordinates in the grid's CRS.
     grid, tolerance_px
@@ -62,7 +63,8 @@ class GroundMesh:
     height_m: np.ndarray
     normal_frame: np.ndarray
     triangles: np.ndarray
-    crease: np.ndarray
+    face_normal_frame: np.ndarray
+    faces_round: FacesRound
     x: np.ndarray
     y: np.ndarray
     grid: Grid
@@ -88,6 +90,24 @@ def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_GR
     if _nodes(world, elevation, crs, max_triangles).errors is None:  # all of it is drawn: for every eye of a frame
         return _whole_mesh(world, elevation, crs, view.frame(world), max_triangles)
     return _ground_mesh(world, elevation, crs, tuple(view.eye_earth_m), view.focal_px, max_triangles)
+
+
+def ground_creases(ground: GroundMesh, seen: np.ndarray) -> np.ndarray:
+    """How much the ground bends up (m,) round its triangles of which some numbers (rows, cols), counted from 1, are seen; 0 round
+    all others: most of the ground is out of sight.
+    """
+    wanted = np.zeros(len(ground.triangles), np.bool_)
+    in_shares(len(seen), _mark, seen, wanted)
+    return creases(ground.position_frame_m, ground.face_normal_frame, ground.triangles, ground.faces_round, 2.0, wanted)
+
+
+@compiled
+def _mark(first, last, number, out):
+    for i in range(first, last):
+        for j in range(number.shape[1]):
+            n = np.int64(number[i, j]) - 1
+            if 0 <= n < len(out):
+                out[n] = True
 
 
 def ground_nodes(scene: Scene) -> GroundNodes:
@@ -135,7 +155,7 @@ def _mesh(
     position = Surface(world, elevation, grid).positions(row + nodes.row0, col + nodes.col0, height, frame)
     faces, around = face_normals(position, triangles), faces_round(len(position), triangles)
     return GroundMesh(
-        position, height, smooth_normals(faces, around), triangles, creases(position, faces, triangles, around, 2.0),
+        position, height, smooth_normals(faces, around), triangles, faces, around,
         np.asarray(grid.x(col + nodes.col0)), np.asarray(grid.y(row + nodes.row0)), grid, tolerance,
     )  # fmt: skip
 

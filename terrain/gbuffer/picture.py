@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates
 
 from terrain.cache import MIB, cached
 from terrain.gbuffer.geometry import GeometryBuffer, MapNodes, map_geometry, map_nodes
-from terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground_mesh
+from terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground_creases, ground_mesh
 from terrain.gbuffer.id_buffer import IdBuffer, rasterise_map, rasterise_perspective
 from terrain.gbuffer.map_columns import column_geometry
 from terrain.gbuffer.resolve import (
@@ -147,7 +147,7 @@ def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: P
         number,
         PixelCamera(tangents, finer_tangents, row, col, view.rows, eye, np.ascontiguousarray(camera_from_frame.T)),
         Ground(
-            ground.position_frame_m, ground.height_m, ground.normal_frame, ground.triangles, ground.crease,
+            ground.position_frame_m, ground.height_m, ground.normal_frame, ground.triangles, ground_creases(ground, number),
             np.zeros((0, 2)) if image is None else _ground_cells(image, ground),
         ),
         SolidsInPerspective(_NO_POINTS, np.zeros(0), _NO_FACES)

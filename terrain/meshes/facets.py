@@ -59,13 +59,17 @@ def _smooth_normals(first, last, faces, around, out):
                 out[n, c] /= length
 
 
-def creases(position: np.ndarray, faces: np.ndarray, triangles: np.ndarray, around: FacesRound, limit: float) -> np.ndarray:
-    """How much a mesh bends up round each face: the largest distance (m,) float32, below ``limit``, between its unit normal and
-    those of faces that share a node with it and rise above its plane. What bends down is behind the plane as the light sees it,
-    and cannot be taken for something in front.
+def creases(
+    position: np.ndarray, faces: np.ndarray, triangles: np.ndarray, around: FacesRound, limit: float, wanted: np.ndarray
+) -> np.ndarray:
+    """How much a mesh bends up round those of its faces that are ``wanted`` (m,); 0 round the others.
+
+    It is the largest distance (m,) float32, below ``limit``, between a face's unit normal and those of faces that share a node with
+    it and rise above its plane. What bends down is behind the plane as the light sees it, and cannot be taken for something in
+    front.
     """
     out = np.zeros(len(triangles), np.float32)
-    in_shares(len(triangles), _creases, position, faces, triangles, around, limit, out)
+    in_shares(len(triangles), _creases, position, faces, triangles, around, limit, wanted, out)
     return out
 
 
@@ -88,8 +92,10 @@ def _faces_round(nodes, triangles):
 
 
 @compiled
-def _creases(first, last, position, faces, triangles, around, limit, out):
+def _creases(first, last, position, faces, triangles, around, limit, wanted, out):
     for t in range(first, last):
+        if not wanted[t]:
+            continue
         worst = 0.0
         for k in range(3):
             n = triangles[t, k]

@@ -10,7 +10,7 @@ import pytest
 from pyproj import Transformer
 
 from terrain.gbuffer import ground_mesh as module
-from terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
+from terrain.gbuffer.ground_mesh import GroundMesh, ground_creases, ground_mesh
 from terrain.gbuffer.picture import geometry_of
 from terrain.geo.camera import PerspectiveView
 from terrain.scene import Scene
@@ -86,8 +86,13 @@ def test_normals_and_creases_of_a_plane_and_of_a_fold(write_raster, make_scene):
     slope = np.array([-0.5, 0, 1]) / np.hypot(0.5, 1)
     fold = np.linalg.norm(slope - [0, 0, 1])
     middle = mesh.x[mesh.triangles].mean(axis=1) - (-200 + 5 + 200)
-    np.testing.assert_allclose(mesh.crease[np.abs(middle) > 11], 0.0, atol=1e-5)
-    np.testing.assert_allclose(mesh.crease[np.abs(middle) < 9], fold, atol=1e-5)
+    every = np.arange(1, len(mesh.triangles) + 1, dtype=np.uint32)[None]
+    crease = ground_creases(mesh, every)
+    np.testing.assert_allclose(crease[np.abs(middle) > 11], 0.0, atol=1e-5)
+    np.testing.assert_allclose(crease[np.abs(middle) < 9], fold, atol=1e-5)
+    some = ground_creases(mesh, np.concatenate([every[:, ::7], every[:, :1] * 0 + len(mesh.triangles) + 5], axis=1))
+    np.testing.assert_array_equal(some[::7], crease[::7])  # what is beyond the ground is no triangle of it
+    assert not np.delete(some, np.s_[::7]).any()
     node = mesh.x - 5.0
     np.testing.assert_allclose(mesh.normal_frame[node < -1], np.tile([0, 0, 1], ((node < -1).sum(), 1)), atol=1e-6)
     np.testing.assert_allclose(mesh.normal_frame[node > 1], np.tile(slope, ((node > 1).sum(), 1)), atol=1e-6)
