@@ -13,7 +13,7 @@ MAX_TARGETS, MAX_TARGET_BYTES = 16, 2**28
 """So many are held, of so many bytes together: the two used last at any size, those used before them while there is room."""
 
 
-@dataclass
+@dataclass(eq=False)
 class _Target:
     framebuffer: Framebuffer
     shape: tuple[int, int, int]
@@ -50,12 +50,14 @@ class DepthTargets:
         shape = width, height, bits
         alike = [each for each in self._held if each.shape == shape]
         found = next((each for each in alike if each.content is None), None)
-        if found is None and not self._has_room(shape):
-            # The oldest of the shape, before older ones of others: making one costs more than drawing again what was in it.
-            found = next((each for each in alike if each is not self._held[-1]), None)
-        while found is None and len(self._held) > 1 and not self._has_room(shape):
-            self._release(self._held.pop(0).framebuffer)
-        if found is not None:
+        if found is None:
+            self._make_room(shape, [each for each in self._held[:-1] if each.content is None])
+            if not self._has_room(shape):
+                # The oldest of the shape, before older ones of others: to make one costs more than to draw again what was in it.
+                found = next((each for each in alike if each is not self._held[-1]), None)
+        if found is None:
+            self._make_room(shape, self._held[:-1])
+        else:
             self._held.remove(found)
         framebuffer = self._make(*shape) if found is None else found.framebuffer
         self._held.append(_Target(framebuffer, shape))
@@ -84,6 +86,14 @@ class DepthTargets:
     def clear_of(self, owner: object) -> None:
         """Forget all, whatever it was drawn for: that costs other scenes no more than one drawing."""
         self.clear()
+
+    def _make_room(self, shape: tuple[int, int, int], spare: list[_Target]) -> None:
+        """Let go of targets, in their order, until there is room for another one."""
+        for each in spare:
+            if self._has_room(shape):
+                return
+            self._held.remove(each)
+            self._release(each.framebuffer)
 
     def _has_room(self, shape: tuple[int, int, int]) -> bool:
         return self.count < MAX_TARGETS and self.nbytes + depth_bytes(*shape) <= MAX_TARGET_BYTES

@@ -13,6 +13,7 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -61,7 +62,7 @@ class Device:
         self._float_target: moderngl.Framebuffer | None = None
         self._visible_targets: list[moderngl.Framebuffer] = []  # the one used last at the end
         self.stencil = Stencil(self.ctx, self.require_current, self.check, lambda: self._parking.use())
-        self._lent: dict[str, np.ndarray] = {}  # of each kind of texel
+        self._lent: dict[np.dtype[Any], np.ndarray] = {}  # of each kind of texel
         self._layers: Cache[moderngl.TextureArray] = Cache(
             "terrain.gl.device.layers", "process", 256 * MIB, _layers_bytes, moderngl.TextureArray.release
         )
@@ -345,19 +346,19 @@ class Device:
         self.require_current()
         width, height = size or target.size
         shape = (height, width) if components == 1 else (height, width, components)
-        kind_of_texel = {"f4": np.float32, "u4": np.uint32, "f1": np.uint8, "u2": np.uint16}[kind]
-        out = self._memory_lent(kind, kind_of_texel, shape) if lent else np.zeros(shape, kind_of_texel)
+        texel = np.dtype({"f4": np.float32, "u4": np.uint32, "f1": np.uint8, "u2": np.uint16}[kind])
+        out = self._memory_lent(texel, shape) if lent else np.zeros(shape, texel)
         window = 0, 0, width, height
         target.read_into(out, window, components=components, attachment=attachment, dtype=kind, alignment=out.itemsize)
         self.check("read")
         return out
 
-    def _memory_lent(self, kind: str, kind_of_texel: type[np.generic], shape: tuple[int, ...]) -> np.ndarray:
+    def _memory_lent(self, texel: np.dtype[Any], shape: tuple[int, ...]) -> np.ndarray:
         """Zeroed memory that is used again and again."""
         count = int(np.prod(shape))
-        memory = self._lent.get(kind)
+        memory = self._lent.get(texel)
         if memory is None or memory.size < count:
-            memory = self._lent[kind] = np.empty(count, kind_of_texel)
+            memory = self._lent[texel] = np.empty(count, texel)
         memory[:count] = 0
         return memory[:count].reshape(shape)
 
