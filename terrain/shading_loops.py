@@ -33,6 +33,8 @@ HIGH_SUN_DEG = 6.01
 degree before: it is looked at in some places of a map alone.
 """
 
+HIGH_SUN_SINE = float(np.sin(np.radians(HIGH_SUN_DEG)))
+
 
 class LightHere(NamedTuple):
     """A day's light, the direction (3,) to its sun in a frame, and the night's share of the sky's."""
@@ -62,6 +64,8 @@ class Look(NamedTuple):
 @compiled
 def dusk_of(sine):
     """Share of the day's sky light for the sine of the sun's altitude: all from 6 degrees on, none below -12 (nautical dusk)."""
+    if sine > HIGH_SUN_SINE:
+        return 1.0
     altitude = np.degrees(np.arcsin(min(max(sine, -1.0), 1.0)))
     share = min(max((altitude + 12.0) / 18.0, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
@@ -120,6 +124,8 @@ def _towards_sun(facing, sine, terminator):
 @compiled
 def _direct_at(sine):
     """Direct light fades in over the first degree of the sun's altitude at a place."""
+    if sine > HIGH_SUN_SINE:
+        return 1.0
     return min(max(np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))), 0.0), 1.0)
 
 
@@ -226,12 +232,11 @@ def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, ligh
     beyond, at = np.empty(cols), np.empty(cols, np.int32)
     own, grey, step = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
     channels, greys = _by_channel(tint)
-    high_sine = np.sin(np.radians(HIGH_SUN_DEG))
     for i in range(there.shape[0]):
         _face(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
         high_everywhere = True  # a hole has no sine
         for j in range(cols):
-            high_everywhere = high_everywhere and not sines[j] <= high_sine
+            high_everywhere = high_everywhere and not sines[j] <= HIGH_SUN_SINE
         for j in range(cols):
             direct[j], sky_here[j] = sunlight[i, j], 1.0
         if not high_everywhere:

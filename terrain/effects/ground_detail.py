@@ -25,7 +25,7 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.ground.noise import noise_at
+from terrain.ground.noise import noise_along
 from terrain.scene import Scene
 from terrain.shading import SHORE_M
 
@@ -56,6 +56,9 @@ GRAZING_COSINE = 0.02
 
 SHOWS = CHANNEL_STEP / 0.45
 """Share of the albedo that changes no colour by more than one of 255."""
+
+PIXEL_RUN = 256
+"""Pixels that are computed together."""
 
 _WAVES = np.array(GROUND_WAVES)
 
@@ -143,32 +146,49 @@ def _shown(wave_m, pixel_m):
 
 @compiled
 def _waves_on(first, last, shown, anchor_from_frame, water_m, eye, pixel, waves, out):
+    """In runs of pixels, by ``noise_along``."""
     there, kind, position, height, normal = shown
     rotation, origin = anchor_from_frame
+    x, y, wide_m = np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN)
+    column = np.empty(PIXEL_RUN, np.int64)
+    cols = there.shape[1]
     for i in range(first, last):
-        for j in range(there.shape[1]):
-            if not there[i, j] or kind[i, j] != RELIEF or height[i, j] <= water_m:
-                continue
-            p, n = position[i, j], normal[i, j]
-            dx, dy, dz = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-            away = np.sqrt(dx * dx + dy * dy + dz * dz)
-            facing = abs(n[0] * dx + n[1] * dy + n[2] * dz) / max(away, 1e-9)
-            wide_m = pixel * away / max(facing, GRAZING_COSINE)
-            if waves[0, 0] <= 2.0 * wide_m:
-                continue
-            x = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
-            y = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
-            lighter, drier = 0.0, 0.0
-            for k in range(len(waves)):
-                part = _shown(waves[k, 0], wide_m)
-                if part <= 0.0:
-                    break
-                x, y = TURN[0] * x - TURN[1] * y, TURN[1] * x + TURN[0] * y
-                value = part * waves[k, 1] * noise_at(x / waves[k, 0], y / waves[k, 0], DETAIL_SEED + k)
-                lighter += value
-                if k < HUE_WAVES:
-                    drier += value
-            out[i, j, 0], out[i, j, 1] = lighter, drier
+        count = 0
+        for j in range(cols):
+            if there[i, j] and kind[i, j] == RELIEF and height[i, j] > water_m:
+                p, n = position[i, j], normal[i, j]
+                dx, dy, dz = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
+                away = np.sqrt(dx * dx + dy * dy + dz * dz)
+                facing = abs(n[0] * dx + n[1] * dy + n[2] * dz) / max(away, 1e-9)
+                wide_m[count] = pixel * away / max(facing, GRAZING_COSINE)
+                if waves[0, 0] > 2.0 * wide_m[count]:
+                    x[count] = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + origin[0]
+                    y[count] = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
+                    column[count] = j
+                    count += 1
+            if count == PIXEL_RUN or (count > 0 and j == cols - 1):
+                _add_waves(x[:count], y[:count], wide_m[:count], waves, column, out[i])
+                count = 0
+
+
+@compiled
+def _add_waves(x, y, wide_m, waves, column, out):
+    """Add the waves at places (n,) of a row's columns; the places are changed."""
+    along, across, noise = np.empty(x.size), np.empty(x.size), np.empty(x.size)
+    finest = wide_m.min()
+    for k in range(len(waves)):
+        wave = waves[k, 0]
+        if _shown(wave, finest) <= 0.0:
+            break
+        for n in range(x.size):
+            x[n], y[n] = TURN[0] * x[n] - TURN[1] * y[n], TURN[1] * x[n] + TURN[0] * y[n]
+            along[n], across[n] = x[n] / wave, y[n] / wave
+        noise_along(along, across, DETAIL_SEED + k, noise)
+        for n in range(x.size):
+            value = _shown(wave, wide_m[n]) * waves[k, 1] * noise[n]
+            out[column[n], 0] += value
+            if k < HUE_WAVES:
+                out[column[n], 1] += value
 
 
 EFFECT = Effect("detail of the ground near the eye", called_for, facts, "albedo", apply_ground_detail)

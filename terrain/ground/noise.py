@@ -16,21 +16,21 @@ OCTAVE_GAIN = 0.5
 
 @compiled
 def _hashed(i, j, seed):
-    """A lattice point's 32 bits: two rounds of the finaliser of MurmurHash3 (Appleby, public domain)."""
-    h = np.uint32(seed) ^ (np.uint32(i & 0xFFFFFFFF) * np.uint32(0x9E3779B1))
+    """A lattice point's 32 bits: two rounds of the finaliser of MurmurHash3 (Appleby, public domain), with products of 64 bits."""
+    low = np.uint64(0xFFFFFFFF)
+    h = np.uint64(np.uint32(seed)) ^ (np.uint64(np.uint32(i)) * np.uint64(0x9E3779B1))
     for k in range(2):
-        h = np.uint32(h ^ (h >> np.uint32(16))) * np.uint32(0x85EBCA6B)
-        h = np.uint32(h ^ (h >> np.uint32(13))) * np.uint32(0xC2B2AE35)
-        h = np.uint32(h ^ (h >> np.uint32(16)))
+        h = ((h ^ (h >> np.uint64(16))) & low) * np.uint64(0x85EBCA6B)
+        h = ((h ^ (h >> np.uint64(13))) & low) * np.uint64(0xC2B2AE35)
+        h = (h ^ (h >> np.uint64(16))) & low
         if k == 0:
-            h = np.uint32(h ^ (np.uint32(j & 0xFFFFFFFF) * np.uint32(0x27D4EB2F)))
-    return h
+            h = (h ^ (np.uint64(np.uint32(j)) * np.uint64(0x27D4EB2F))) & low
+    return np.uint32(h)
 
 
 @compiled
-def _ramp(i, j, x, y, seed):
-    """The dot product of (x, y) with one of eight gradients, none along an axis or a diagonal."""
-    h = _hashed(i, j, seed)
+def _ramp(h, x, y):
+    """The dot product of (x, y) with one of eight gradients, none along an axis or a diagonal: that of a lattice point's bits."""
     long = x if h & np.uint32(1) else y
     short = y if h & np.uint32(1) else x
     return (long if h & np.uint32(2) else -long) + 0.5 * (short if h & np.uint32(4) else -short)
@@ -38,16 +38,34 @@ def _ramp(i, j, x, y, seed):
 
 @compiled
 def noise_at(x, y, seed):
-    """Gradient noise of wavelength 1 at a place: about -0.8 to 0.8, 0 at whole coordinates."""
-    i, j = int(np.floor(x)), int(np.floor(y))
-    x, y = x - i, y - j
+    """Gradient noise of wavelength 1 at a place within 2^31 of the origin: about -0.8 to 0.8, 0 at whole coordinates."""
+    west, low, one = np.floor(x), np.floor(y), np.int32(1)
+    i, j = np.int32(west), np.int32(low)
+    x, y = x - west, y - low
     u = x * x * x * (x * (x * 6.0 - 15.0) + 10.0)
     v = y * y * y * (y * (y * 6.0 - 15.0) + 10.0)
-    south = _ramp(i, j, x, y, seed)
-    south += u * (_ramp(i + 1, j, x - 1.0, y, seed) - south)
-    north = _ramp(i, j + 1, x, y - 1.0, seed)
-    north += u * (_ramp(i + 1, j + 1, x - 1.0, y - 1.0, seed) - north)
+    south = _ramp(_hashed(i, j, seed), x, y)
+    south += u * (_ramp(_hashed(i + one, j, seed), x - 1.0, y) - south)
+    north = _ramp(_hashed(i, j + one, seed), x, y - 1.0)
+    north += u * (_ramp(_hashed(i + one, j + one, seed), x - 1.0, y - 1.0) - north)
     return south + v * (north - south)
+
+
+@compiled
+def noise_along(x, y, seed, out):
+    """``noise_at`` of many places (n,): written out, since a loop that calls it is not compiled to vector instructions."""
+    one = np.int32(1)
+    for n in range(out.size):
+        west, low = np.floor(x[n]), np.floor(y[n])
+        i, j = np.int32(west), np.int32(low)
+        a, b = x[n] - west, y[n] - low
+        u = a * a * a * (a * (a * 6.0 - 15.0) + 10.0)
+        v = b * b * b * (b * (b * 6.0 - 15.0) + 10.0)
+        south = _ramp(_hashed(i, j, seed), a, b)
+        south += u * (_ramp(_hashed(i + one, j, seed), a - 1.0, b) - south)
+        north = _ramp(_hashed(i, j + one, seed), a, b - 1.0)
+        north += u * (_ramp(_hashed(i + one, j + one, seed), a - 1.0, b - 1.0) - north)
+        out[n] = south + v * (north - south)
 
 
 @compiled

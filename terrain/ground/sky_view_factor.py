@@ -275,17 +275,14 @@ def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarra
     cells = np.empty((height_m.size, 2))
     in_shares(
         len(cells), _cells, position_frame_m.reshape(-1, 3), height_m.reshape(-1), frame.frame_from_earth, frame.origin_earth_m,
-        finder.plane, finder.axes, finder.first, finder.step, finder.cells, cells,
+        finder.plane, finder.axes, finder.first, finder.step, finder.cells, 2.0**view.level, cells,
     )  # fmt: skip
-    cells += 0.5
-    cells /= 2**view.level
-    cells -= 0.5
     return cells.reshape(*height_m.shape, 2)
 
 
 @compiled
-def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, first, step, lattice, out):
-    """Rows and columns in the raster of the points ``begin`` to ``end``.
+def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, first, step, lattice, side, out):
+    """Rows and columns in the raster, joined to cells of a ``side``, of the points ``begin`` to ``end``.
 
     Latitude by EPSG Guidance Note 7-2, section 4.1.1, with the equator's radius for the prime vertical's in the height's part.
     """
@@ -296,7 +293,8 @@ def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, 
         y = m[0, 1] * px + m[1, 1] * py + m[2, 1] * pz + origin[1]
         z = m[0, 2] * px + m[1, 2] * py + m[2, 2] * pz + origin[2]
         x, y = in_plane(x, y, z, height[n], plane, axes, first, step)
-        out[n, 0], out[n, 1] = cell_in_plane(x, y, first, step, lattice)
+        row, col = cell_in_plane(x, y, first, step, lattice)
+        out[n, 0], out[n, 1] = (row + 0.5) / side - 0.5, (col + 0.5) / side - 0.5
 
 
 @compiled

@@ -1,0 +1,39 @@
+"""Noise: numbers that hold for good, since grounds, clouds and meadows hang on them, one place at a time or many at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terrain.ground.noise import noise_along, noise_at
+
+KNOWN = {
+    (0.25, 0.5, 1): 0.041015625,
+    (-3.7, 12.1, 71): 0.23998877184000014,
+    (100000.3, -199999.3, 5): -0.4696694049585789,
+    (-0.01, 0.99, 1234567): 0.005000000047546749,
+}
+
+
+@pytest.mark.parametrize("place", KNOWN)
+def test_what_a_place_has_for_a_seed_never_changes(place):
+    assert noise_at(*place) == KNOWN[place]
+
+
+@given(st.lists(st.tuples(*[st.floats(-1e9, 1e9)] * 2), min_size=1, max_size=40), st.integers(0, 2**31))
+def test_many_places_at_once_have_the_same_bits(places, seed):
+    x, y = np.array(places).T.copy()
+    out = np.empty(len(x))
+    noise_along(x, y, seed, out)
+    np.testing.assert_array_equal(out, [noise_at(*place, seed) for place in places])
+
+
+def test_noise_is_0_at_whole_coordinates_and_turns_smoothly_there():
+    x, y = (axis.ravel() for axis in np.mgrid[-6:7, -6:7].astype(float))
+    at, beside = np.empty(x.size), np.empty(x.size)
+    noise_along(x, y, 9, at)
+    noise_along(x + 1e-6, y, 9, beside)
+    assert not at.any()
+    assert (np.abs(beside) <= 1.01e-6).all() and (np.abs(beside) >= 0.49e-6).all()  # gradients are 1 or a half along an axis
