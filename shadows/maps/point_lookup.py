@@ -71,25 +71,21 @@ def look_points_up(sun: SunMap, comparison: DepthComparison, points: LitPoints, 
 @compiled
 def _look_up(first, last, sun, comparison, points, chosen, visibility):
     by_triangles, _, _, taps, beside = comparison
-    p, n, clear = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.float32)
     for m in range(first, last):
         i = chosen[m]
-        _in_light(sun, points.position[i], True, p)
+        p = _moved(sun, _turned(sun, points.position, i, 0))
         is_empty = by_triangles and _is_empty(sun, p, taps)
         if by_triangles and not is_empty:
-            lit, counted = _on_own_triangle(sun, comparison, p, points.corners[i])
+            lit, counted = _on_own_triangle(sun, comparison, p, points.corners, i)
             if counted > np.float32(0.0):
                 visibility[i] = lit / counted
                 continue
-        _in_light(sun, points.normal[i], False, n)
-        if n[2] > np.float32(0.0):  # foliage is lit from either side
-            n[0], n[1], n[2] = -n[0], -n[1], -n[2]
-        _clear_of(sun, comparison, p, n, abs(points.crease[i]), clear)
+        clear = _clear_of(sun, comparison, p, _turned(sun, points.normal, i, 0), abs(points.crease[i]))
         if is_empty:
             if _is_empty(sun, clear, beside):
                 visibility[i] = np.float32(1.0)
                 continue
-            lit, counted = _on_own_triangle(sun, comparison, p, points.corners[i])
+            lit, counted = _on_own_triangle(sun, comparison, p, points.corners, i)
             if counted > np.float32(0.0):
                 visibility[i] = lit / counted
                 continue
@@ -97,45 +93,53 @@ def _look_up(first, last, sun, comparison, points, chosen, visibility):
 
 
 @compiled
-def _in_light(sun, vector, moved, out):
-    x, y, z = np.float32(vector[0]), np.float32(vector[1]), np.float32(vector[2])
+def _turned(sun, vectors, i, first):
+    """Three numbers of a row, from ``first`` on, along the light's axes: three rather than an array, whose memory would cost more
+    than all else.
+    """
+    x, y, z = np.float32(vectors[i, first]), np.float32(vectors[i, first + 1]), np.float32(vectors[i, first + 2])
     axes = sun.light_from_frame
-    for k in range(3):
-        out[k] = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
-        if moved:
-            out[k] += sun.light_offset_m[k]
+    return (
+        axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z,
+        axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z,
+        axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z,
+    )
 
 
 @compiled
-def _clear_of(sun, comparison, p, n, crease, out):
+def _moved(sun, turned):
+    offset = sun.light_offset_m
+    return turned[0] + offset[0], turned[1] + offset[1], turned[2] + offset[2]
+
+
+@compiled
+def _clear_of(sun, comparison, p, n, crease):
     """A point moved clear of every surface that passes through it."""
-    out[0], out[1], out[2] = p[0], p[1], p[2]
     if not comparison.by_offset:
-        return
+        return p
+    side = np.float32(-1.0) if n[2] > np.float32(0.0) else np.float32(1.0)  # foliage is lit from either side
     half, one = np.float32(0.5), np.float32(1.0)
     taps = half * np.float32(comparison.taps_beside) + np.float32(1.0 / 128.0)
     x, y = taps * sun.texel_m[0], taps * sun.texel_m[1]
     offset = x * abs(n[0]) + y * abs(n[1]) + np.sqrt(x * x + y * y) * crease
     offset /= max(one - half * crease * crease, np.float32(0.25))
-    away = comparison.bias_scale * offset + sun.error_m
-    for k in range(3):
-        out[k] += n[k] * away
-    out[2] -= sun.error_m
+    away = side * (comparison.bias_scale * offset + sun.error_m)
+    return p[0] + n[0] * away, p[1] + n[1] * away, p[2] + n[2] * away - sun.error_m
 
 
 @compiled
-def _first_tap(sun, p, count, axis):
-    """The first texel of a square of taps round a point along an axis, and how far beyond its corner the square begins."""
-    at = p[axis] / sun.texel_m[axis] - np.float32(0.5) * np.float32(count - 1)
-    low = np.floor(at)
-    return np.int64(low), at - low
+def _first_tap(sun, p, count):
+    """The first texel, column and row, of a square of taps round a point, and how far beyond its corner the square begins."""
+    half = np.float32(0.5) * np.float32(count - 1)
+    x, y = p[0] / sun.texel_m[0] - half, p[1] / sun.texel_m[1] - half
+    left, low = np.floor(x), np.floor(y)
+    return np.int64(left), np.int64(low), x - left, y - low
 
 
 @compiled
 def _is_empty(sun, p, count):
     """Whether the map holds nothing in a square of taps round a point."""
-    left, _ = _first_tap(sun, p, count, 0)
-    low, _ = _first_tap(sun, p, count, 1)
+    left, low, _, _ = _first_tap(sun, p, count)
     rows, cols = sun.depths.shape
     for r in range(max(low, 0), min(low + count, rows)):
         for c in range(max(left, 0), min(left + count, cols)):
@@ -161,39 +165,35 @@ def _weight(count, n, beyond):
 
 
 @compiled
-def _on_own_triangle(sun, comparison, p, corners):
+def _on_own_triangle(sun, comparison, p, corners, i):
     """The lit and all of the weight of those taps whose texels' centres fall into a point's own triangle."""
     lit, counted = np.float32(0.0), np.float32(0.0)
-    if corners[0] == corners[3] and corners[1] == corners[4] and corners[2] == corners[5]:
+    if corners[i, 0] == corners[i, 3] and corners[i, 1] == corners[i, 4] and corners[i, 2] == corners[i, 5]:
         return lit, counted
     zero, one = np.float32(0.0), np.float32(1.0)
-    a, e, g = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.float32)
-    _in_light(sun, corners[0:3], True, a)
-    _in_light(sun, corners[3:6], True, e)
-    _in_light(sun, corners[6:9], True, g)
-    for k in range(3):
-        e[k] -= a[k]
-        g[k] -= a[k]
+    ax, ay, az = _moved(sun, _turned(sun, corners, i, 0))
+    ex, ey, ez = _moved(sun, _turned(sun, corners, i, 3))
+    gx, gy, gz = _moved(sun, _turned(sun, corners, i, 6))
+    ex, ey, ez, gx, gy, gz = ex - ax, ey - ay, ez - az, gx - ax, gy - ay, gz - az
     texel = sun.texel_m
-    area = e[0] * g[1] - e[1] * g[0]
-    slope_x, slope_y = (e[2] * g[1] - g[2] * e[1]) / area, (g[2] * e[0] - e[2] * g[0]) / area
+    area = ex * gy - ey * gx
+    slope_x, slope_y = (ez * gy - gz * ey) / area, (gz * ex - ez * gx) / area
     grid = np.float32(1.0 / 128.0)
     slack = abs(slope_x) * (texel[0] * grid + sun.error_m) + abs(slope_y) * (texel[1] * grid + sun.error_m)
-    around = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]) + np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
+    around = np.sqrt(ex * ex + ey * ey + ez * ez) + np.sqrt(gx * gx + gy * gy + gz * gz)
     slack = min(slack, around) + sun.error_m
-    gx, gy, ex, ey = g[0] / area, g[1] / area, e[0] / area, e[1] / area
+    gx, gy, ex, ey = gx / area, gy / area, ex / area, ey / area
     scale, taps = comparison.bias_scale, comparison.taps
     rounding = np.float32(0.5) * sun.depth_step if comparison.by_offset else zero
-    left, beyond_x = _first_tap(sun, p, taps, 0)
-    low, beyond_y = _first_tap(sun, p, taps, 1)
+    left, low, beyond_x, beyond_y = _first_tap(sun, p, taps)
     for row in range(taps):
-        aside_y = (np.float32(low + row) + np.float32(0.5)) * texel[1] - a[1]
+        aside_y = (np.float32(low + row) + np.float32(0.5)) * texel[1] - ay
         for col in range(taps):
-            aside_x = (np.float32(left + col) + np.float32(0.5)) * texel[0] - a[0]
+            aside_x = (np.float32(left + col) + np.float32(0.5)) * texel[0] - ax
             u, v = aside_x * gy - aside_y * gx, ex * aside_y - ey * aside_x
             if not (u >= zero and v >= zero and u + v <= one):
                 continue
-            there = a[2] + (slope_x * aside_x + slope_y * aside_y)
+            there = az + (slope_x * aside_x + slope_y * aside_y)
             z = p[2] * (one - scale) + there * scale - slack
             weight = one
             if taps > 1:
@@ -209,8 +209,7 @@ def _beside_triangles(sun, comparison, clear):
     """The lit share of the taps round a point that was moved clear, wherever their texels lie."""
     count, zero, one = comparison.taps_beside, np.float32(0.0), np.float32(1.0)
     rounding = np.float32(0.5) * sun.depth_step if comparison.by_offset else zero
-    left, beyond_x = _first_tap(sun, clear, count, 0)
-    low, beyond_y = _first_tap(sun, clear, count, 1)
+    left, low, beyond_x, beyond_y = _first_tap(sun, clear, count)
     lit, counted = zero, zero
     for row in range(count):
         for col in range(count):

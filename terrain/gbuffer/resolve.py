@@ -143,8 +143,9 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
     there, point, level, normal, shading, crease, kind, albedo, corners, cells, lift = points
     cols = number.shape[1]
     ground, solid = len(ground_triangles), len(solid_triangles)
-    p = np.empty((3, 3))
+    p, face = np.empty((3, 3)), np.empty(3, np.float32)
     ray, to_eye = np.empty(3), np.empty(3)
+    before, smooth = np.int64(-1), False  # the triangle that p and these are of: pixels beside one another mostly show the same
     for i in range(first, last):
         for j in range(cols):
             t = np.int64(number[i, j]) - 1
@@ -168,26 +169,32 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                 y = finer_tangents[1] + finer_row[i - own_rows, j] * finer_tangents[2]
             for k in range(3):
                 ray[k] = frame_from_camera[k, 0] * x + frame_from_camera[k, 1] * y + frame_from_camera[k, 2]
-            if t < ground:
-                kind[i, j] = RELIEF
-                for c in range(3):
-                    for k in range(3):
-                        p[c, k] = ground_position[ground_triangles[t, c], k]
-            elif t < ground + solid:
-                kind[i, j] = MESHES
-                for c in range(3):
-                    for k in range(3):
-                        p[c, k] = solid_position[solid_triangles[t - ground, c], k]
-            else:
-                kind[i, j] = FOREST
-                tree, part = (t - ground - solid) // 6, (t - ground - solid) % 6
-                _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_turn[tree], curvature, part)
+            if t != before:
+                before = t
+                if t < ground:
+                    for c in range(3):
+                        for k in range(3):
+                            p[c, k] = ground_position[ground_triangles[t, c], k]
+                elif t < ground + solid:
+                    for c in range(3):
+                        for k in range(3):
+                            p[c, k] = solid_position[solid_triangles[t - ground, c], k]
+                else:
+                    tree, part = (t - ground - solid) // 6, (t - ground - solid) % 6
+                    _tree_triangle(p, tree_base[tree], tree_shape[tree], tree_turn[tree], curvature, part)
+                _face(p, face)
+                smooth = False
+                if t < ground:
+                    a, b, c = ground_triangles[t, 0], ground_triangles[t, 1], ground_triangles[t, 2]
+                    smooth = is_smooth(face, ground_normal[a]) and is_smooth(face, ground_normal[b])
+                    smooth = smooth and is_smooth(face, ground_normal[c])
+            kind[i, j] = RELIEF if t < ground else MESHES if t < ground + solid else FOREST
             u, v = _on_plane(p, eye, ray)
             for k in range(3):
                 point[i, j, k] = p[0, k] + u * (p[1, k] - p[0, k]) + v * (p[2, k] - p[0, k])
+                normal[i, j, k] = face[k]
                 for c in range(3):
                     corners[i, j, 3 * c + k] = p[c, k]
-            _face(p, normal[i, j])
             if t < ground:
                 a, b, c = ground_triangles[t, 0], ground_triangles[t, 1], ground_triangles[t, 2]
                 level[i, j] = (1.0 - u - v) * ground_height[a] + u * ground_height[b] + v * ground_height[c]
@@ -197,9 +204,8 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                 length = np.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
                 for k in range(3):
                     to_eye[k] = -ray[k] / length
-                n, lift[i, j] = normal[i, j], np.nan
-                seen_from_above = n[0] * to_eye[0] + n[1] * to_eye[1] + n[2] * to_eye[2] > 0.0
-                smooth = is_smooth(n, ground_normal[a]) and is_smooth(n, ground_normal[b]) and is_smooth(n, ground_normal[c])
+                lift[i, j] = np.nan
+                seen_from_above = face[0] * to_eye[0] + face[1] * to_eye[1] + face[2] * to_eye[2] > 0.0
                 if seen_from_above and smooth:
                     lift[i, j] = (
                         (1.0 - u - v) * lift_to(p[0], ground_normal[a], point[i, j], to_eye)
