@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from terrain.compiled import compiled, in_shares
 from terrain.effects.cast_shadows import trees_seen
 from terrain.effects.effect import Effect, ShadingBlock, Verdict
 from terrain.effects.haze import trees_in_view
@@ -37,6 +38,9 @@ CELL_M = 2.0
 
 CELL_TANGENT = 0.004
 """... or in a larger one, of about this angle from the eye."""
+
+PLACE_BITS = 18
+"""Bits of a cell's place along each axis: beyond so many cells another one has the same number."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
@@ -66,32 +70,46 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
     buffer, scene = block.buffer, block.scene
     if isinstance(block.view, MapView) or scene.sun is None or not scene.sun_is_up:
         return
-    row, col = np.nonzero((buffer.kind == FOREST) & (sunlight < 1.0))
-    if not len(row):
+    pixels = np.flatnonzero((buffer.kind == FOREST) & (sunlight < 1.0))
+    if not len(pixels):
         return
-    point = buffer.position_frame_m[row, col]
-    key, cell_m = _cells(point, block.view.in_frame(buffer.frame)[0])
-    _, first, cell = np.unique(key, return_index=True, return_inverse=True)
+    points, key = buffer.position_frame_m.reshape(-1, 3), np.empty(len(pixels), np.int64)
+    in_shares(len(pixels), _cells, points, pixels, block.view.in_frame(buffer.frame)[0], key)
+    keys, first, cell = np.unique(key, return_index=True, return_inverse=True)
     # From the middle of a cell, so that it is the same from wherever a picture begins.
-    wide = cell_m[first, None]
-    start, to_sun = (np.floor(point[first] / wide) + 0.5) * wide, scene.sun.in_frame(buffer.frame)
+    wide = CELL_M * 2.0 ** (keys >> 3 * PLACE_BITS)[:, None]
+    start, to_sun = (np.floor(points[pixels[first]] / wide) + 0.5) * wide, scene.sun.in_frame(buffer.frame)
     hidden = hidden_by_relief(scene.world, scene.elevation, buffer.frame, start, to_sun)
     if scene.objects.solids is not None:
         away_m, _ = first_mesh_hits(
             scene.objects, buffer.frame, start, np.broadcast_to(to_sun, start.shape), np.full(len(start), np.inf)
         )  # fmt: skip
         hidden |= np.isfinite(away_m)
-    seen = sunlight[row, col]
-    sunlight[row, col] = seen + (1.0 - seen) * np.where(hidden[cell.reshape(-1)], 0.0, THROUGH_LEAVES).astype(np.float32)
+    in_shares(len(pixels), _let_through, sunlight, pixels, hidden, cell.reshape(-1), np.float32(THROUGH_LEAVES))
 
 
-def _cells(point: np.ndarray, eye: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A number (n,) int64 for the cell that each point (n, 3) lies in, and how wide that is, metres."""
-    away_m = np.linalg.norm(point - eye, axis=1)
-    doubled = np.ceil(np.log2(np.maximum(away_m * CELL_TANGENT / CELL_M, 1.0))).astype(np.int64)
-    cell_m = CELL_M * 2.0**doubled
-    place = np.floor(point / cell_m[:, None]).astype(np.int64) & 0x3FFFF
-    return ((doubled << 18 | place[:, 0]) << 18 | place[:, 1]) << 18 | place[:, 2], cell_m
+@compiled
+def _cells(first, last, points, pixels, eye, key):
+    """A number for the cell that each of some points lies in: how often its width is doubled, then its place along each axis."""
+    for n in range(first, last):
+        p = points[pixels[n]]
+        x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
+        away_m, doubled, wide = np.sqrt(x * x + y * y + z * z), 0, CELL_M
+        while wide < away_m * CELL_TANGENT:
+            doubled, wide = doubled + 1, 2.0 * wide
+        number = doubled
+        for k in range(3):
+            number = number << PLACE_BITS | np.int64(np.floor(p[k] / wide)) & (1 << PLACE_BITS) - 1
+        key[n] = number
+
+
+@compiled
+def _let_through(first, last, sunlight, pixels, hidden, cell, share):
+    for n in range(first, last):
+        if not hidden[cell[n]]:
+            row, col = divmod(pixels[n], sunlight.shape[1])
+            seen = sunlight[row, col]
+            sunlight[row, col] = seen + (np.float32(1.0) - seen) * share
 
 
 EFFECT = Effect("light through foliage", called_for, facts, "sunlight", apply_crowns, needs=("cast_shadows",))
