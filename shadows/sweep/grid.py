@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from shadows.sweep.lines import NO_GROUND_LEVEL, Strip, TurnedGrid, sweep_rows
-from shadows.sweep.points import StripPoints, no_points
-from terrain.compiled import compiled
+from shadows.sweep.points import StripPoints, in_strip, intervals_of, no_points, put_answers
+from terrain.compiled import compiled, in_shares
 from terrain.errors import UnsupportedError
 
 STRIP_CELLS = 1024
@@ -223,8 +223,9 @@ def sweep_nodes(
     lit[first:last, first_col + 1 : last_col + 1] = True  # a sheet may be many times as large as what is asked for
     points = points or SweepPoints(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
     points_lit, points_above_m = np.ones(len(points.row), np.bool_), np.zeros(len(points.row), np.float32)
-    base = np.clip(np.ceil(points.row).astype(np.int64) - 1, 0, n - 2)
-    end = max(last - 1, int(base.max(initial=-1)) + 1)
+    interval = np.empty(len(points.row), np.int32)
+    in_shares(len(interval), intervals_of, points.row, n, interval)
+    end = max(last - 1, int(interval.max(initial=-1)) + 1)
     low, high = int(np.floor(t_range[0])), int(np.floor(t_range[1])) + 1
 
     def strip(start: int) -> None:
@@ -235,24 +236,16 @@ def sweep_nodes(
             if entry is None
             else entry.on(start - 1, cells, lines, factor).held
         )
-        strip_points = np.flatnonzero((points.t >= start) & (points.t < stop))
-        strip_points = strip_points[np.argsort(base[strip_points], kind="stable")]
-        begins = np.searchsorted(base[strip_points], np.arange(n + 1))
-        strip_answers = np.ones(len(strip_points), np.bool_), np.empty(len(strip_points), np.float32)
-        some = StripPoints(
-            begins,
-            points.row[strip_points],
-            points.col[strip_points] + 1.0,
-            points.t[strip_points],
-            points.own[strip_points],
-            points.rounding,
-            *strip_answers,
+        number, begins, row, col, t, own = in_strip(
+            points.row, points.col, points.t, points.own, interval, n, float(start), float(stop)
         )
+        strip_answers = np.ones(len(number), np.bool_), np.empty(len(number), np.float32)
+        some = StripPoints(begins, row, col, t, own, points.rounding, *strip_answers)
         its = Strip(lines, start - 1, held, no_peaks(lines, cells))
-        before = min(max(first - 1, 0) if last > first else min(begin, int(base.min(initial=n))), end)
+        before = min(max(first - 1, 0) if last > first else min(begin, int(interval.min(initial=n))), end)
         sweep_rows(sheet, its, min(begin, before), before, NO_LEVELS, NO_MASK, some)
         sweep_rows(sheet, its, before, end, shade, lit, some)
-        points_lit[strip_points], points_above_m[strip_points] = strip_answers
+        put_answers(number, *strip_answers, points_lit, points_above_m)
 
     _on_cores(strip, range(low, high, STRIP_CELLS), cores)
     return lit[:, 1:-1], points_lit, points_above_m

@@ -41,6 +41,42 @@ def no_points(rows: int) -> StripPoints:
 
 
 @compiled
+def intervals_of(first, last, row, rows, out):
+    """The row intervals (i, i + 1] of a grid of some ``rows`` that points lie in: i (n,), of points ``first`` to ``last``."""
+    for n in range(first, last):
+        out[n] = min(max(np.int32(np.ceil(row[n])) - 1, 0), rows - 2)
+
+
+@compiled
+def in_strip(row, col, t, own, interval, rows, start, stop):
+    """The points (n,) whose t is from ``start`` on and before ``stop``, in the order of their row intervals: their numbers, and
+    what ``StripPoints`` has of them, up to ``own``. Columns count the left border.
+    """
+    begins = np.zeros(rows + 1, np.int64)
+    for n in range(t.size):
+        if start <= t[n] < stop:
+            begins[interval[n] + 1] += 1
+    for i in range(rows):
+        begins[i + 1] += begins[i]
+    filled, count = begins[:-1].copy(), begins[rows]
+    number = np.empty(count, np.int64)
+    its_row, its_col, its_t, its_own = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    for n in range(t.size):
+        if start <= t[n] < stop:
+            k = filled[interval[n]]
+            filled[interval[n]] += 1
+            number[k], its_row[k], its_col[k], its_t[k], its_own[k] = n, row[n], col[n] + 1.0, t[n], own[n]
+    return number, begins, its_row, its_col, its_t, its_own
+
+
+@compiled
+def put_answers(number, its_lit, its_above_m, lit, above_m):
+    """Put a strip's answers where its points have their numbers."""
+    for k in range(number.size):
+        lit[number[k]], above_m[number[k]] = its_lit[k], its_above_m[k]
+
+
+@compiled
 def see_points(sheet, strip, i, points):
     """Points of rows (i, i + 1] of a ``TurnedGrid``, while the lines of a ``Strip`` stand before row ``i``."""
     level, place, at, falls = sheet
