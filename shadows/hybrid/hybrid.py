@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from moderngl import Framebuffer
 
 from shadows.algorithm import FEW_MAP_SIZES, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.attached import attached
@@ -21,10 +22,10 @@ from shadows.hybrid.conservative_map import MASKED, SHADED
 from shadows.hybrid.maps import classify_pixels, map_pictures
 from shadows.hybrid.settings import HybridSettings, resolve_hybrid
 from shadows.hybrid.work import hybrid_work
-from shadows.maps.drawing import depths, draw_map
+from shadows.maps.drawing import depths, draw_map, drawn_ahead
 from shadows.maps.lookup import look_up
 from shadows.maps.settings import ShadowMapSettings
-from shadows.maps.windows import lamp_map, sun_maps
+from shadows.maps.windows import DepthMap, lamp_map, sun_maps
 from shadows.passes import PassLog
 from shadows.volumes.drawing import count, faces_before
 from shadows.volumes.shadow_volume import KEEPS, NO_VOLUME, too_much_ground
@@ -93,11 +94,18 @@ def _compared(
     else:
         maps = [drawn for drawn in [lamp_map(buffer, scene.lamps[light], map_settings, None)] if drawn is not None]
     visibility = np.ones(buffer.there.shape, np.float32)
-    with log.run(passes[1]) as record:
-        targets = [draw_map(gl, drawn, buffer, scene, kinds, casters, map_settings, record) for drawn in maps]
-    with log.run(passes[2]) as record:
-        for drawn, target in zip(maps, targets, strict=True):
-            log.keep("shadow-map", light, depths, gl, drawn, target)
+
+    def draw(drawn: DepthMap) -> Framebuffer:
+        with log.run(passes[1]) as record:
+            return draw_map(gl, drawn, buffer, scene, kinds, casters, map_settings, record)
+
+    if not maps:  # a lamp that shines on nothing
+        for name in passes[1:3]:
+            with log.run(name):
+                pass
+    for drawn, target in drawn_ahead(maps, draw):
+        log.keep("shadow-map", light, depths, gl, drawn, target)
+        with log.run(passes[2]) as record:
             look_up(gl, drawn, target, buffer, scene.light_position(light, buffer.frame), map_settings, visibility, record)
     verdict = np.where(visibility < 0.5, np.uint8(SHADED), np.uint8(255 - SHADED))
     verdict[wanted & (visibility > 0.0) & (visibility < 1.0)] = MASKED
