@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.level.level import SUN
 from terrain.scene import Scene
 from terrain.trees.foliage import foliage
-from terrain.user_cache import user_cache
+from terrain.user_cache import arrays_kept_in, user_cache
 from terrain.whole_files import replaced_whole
 
 TRUTH_CACHE_BYTES = 512 * 2**20
@@ -46,13 +47,11 @@ def cached_truth(
     folder = folder or user_cache("truth")
     path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
     shape = buffer.there.shape
-    try:
-        with np.load(path) as stored:
-            arrays = [np.unpackbits(stored[name])[: shape[0] * shape[1]].reshape(shape).astype(bool) for name in _FIELDS]
-        path.touch()
-        return Truth(*arrays)
-    except (OSError, ValueError, KeyError, EOFError):  # absent or damaged
-        pass
+    kept = arrays_kept_in(path)
+    if kept is not None:
+        with suppress(OSError):  # it may be read, but not be written
+            path.touch()
+        return Truth(*(np.unpackbits(kept[name])[: shape[0] * shape[1]].reshape(shape).astype(bool) for name in _FIELDS))
     truth = make(buffer, scene, casters, samples, light=light)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -71,7 +70,7 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples:
     to_light = np.zeros(3)
     if light != SUN:
         lamp = scene.lamps[light]
-        to_light = np.array([*lamp.position_earth_m, *lamp.earth_from_lamp[:, 2], lamp.cutoff_deg])
+        to_light = np.array([*lamp.position_earth_m, *lamp.earth_from_lamp[:, 2], lamp.cutoff_deg, lamp.radius_m])
     elif scene.sun is not None:
         to_light = scene.sun.in_frame(buffer.frame)
     numbers = DEFINITION, _numbers(buffer.view), samples, OFFSET_ULPS, SUN_RADIUS_DEG, scene.highest_sun_deg, light

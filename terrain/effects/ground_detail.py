@@ -57,7 +57,7 @@ GRAZING_COSINE = 0.02
 SHOWS = CHANNEL_STEP / 0.45
 """Share of the albedo that changes no colour by more than one of 255."""
 
-PIXEL_RUN = 256
+WAVE_RUN = 256
 """Pixels that are computed together."""
 
 _WAVES = np.array(GROUND_WAVES)
@@ -149,8 +149,8 @@ def _waves_on(first, last, shown, anchor_from_frame, water_m, eye, pixel, waves,
     """In runs of pixels, by ``noise_along``."""
     there, kind, position, height, normal = shown
     rotation, origin = anchor_from_frame
-    x, y, wide_m = np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN)
-    column = np.empty(PIXEL_RUN, np.int64)
+    x, y, wide_m = np.empty(WAVE_RUN), np.empty(WAVE_RUN), np.empty(WAVE_RUN)
+    column = np.empty(WAVE_RUN, np.int64)
     cols = there.shape[1]
     for i in range(first, last):
         count = 0
@@ -166,7 +166,7 @@ def _waves_on(first, last, shown, anchor_from_frame, water_m, eye, pixel, waves,
                     y[count] = rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2] + origin[1]
                     column[count] = j
                     count += 1
-            if count == PIXEL_RUN or (count > 0 and j == cols - 1):
+            if count == WAVE_RUN or (count > 0 and j == cols - 1):
                 _add_waves(x[:count], y[:count], wide_m[:count], waves, column, out[i])
                 count = 0
 

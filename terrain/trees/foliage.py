@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -12,6 +13,7 @@ from terrain.compiled import compiled
 from terrain.errors import InputError
 from terrain.srgb import linear_of_srgb, srgb_of_linear
 from terrain.trees.foliage_paint import Clumped, Whorled, paint
+from terrain.trees.kept_pictures import kept_pictures
 
 THRESHOLD = 0.5  # share of alpha from which a point of a picture is tree
 TEXTURE_PX = 256
@@ -229,19 +231,26 @@ _KINDS: tuple[tuple[TreeVariant, Whorled | Clumped], ...] = (
 TREE_VARIANTS: tuple[TreeVariant, ...] = tuple(variant for variant, _ in _KINDS)
 
 
+PAINTED_BY = tuple(Path(__file__).parent / name for name in ("foliage.py", "foliage_paint.py", "../srgb.py"))
+"""Files of code that make the pictures what they are."""
+
 OUTLINE_CELLS = 16
 """Cells a side of a picture by which its outline is told."""
 
 
 @cached("process", 256 * MIB)
 def foliage() -> Foliage:
-    """The pictures of ``TREE_VARIANTS``, painted once in a process and the same on every machine."""
+    """The pictures of ``TREE_VARIANTS``, painted once and the same on every machine."""
+    return Foliage(kept_pictures(_painted, PAINTED_BY))
+
+
+def _painted() -> tuple[np.ndarray, ...]:
     layers = [
         coverage_mips(_texture(view, stands), THRESHOLD)
         for seed, (_, model) in enumerate(_KINDS)
         for view, stands in zip(paint(model, seed, TEXTURE_PX), (True, False), strict=True)
     ]
-    return Foliage(levels=tuple(np.stack(level) for level in zip(*layers, strict=True)))
+    return tuple(np.stack(level) for level in zip(*layers, strict=True))
 
 
 @cached("process", MIB)

@@ -1,0 +1,92 @@
+"""Pictures of trees are painted once and then read from disk, unless what paints them has changed."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from terrain.trees import kept_pictures as module
+from terrain.trees.foliage import PAINTED_BY
+from terrain.trees.kept_pictures import kept_pictures
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+class Painter:
+    """Paints, and counts how often."""
+
+    def __init__(self) -> None:
+        self.times = 0
+
+    def __call__(self) -> tuple[np.ndarray, ...]:
+        self.times += 1
+        return tuple(np.full((2, side, side, 4), 10 * side + self.times, np.uint8) for side in (8, 4))
+
+
+@pytest.fixture
+def source(tmp_path) -> Path:
+    path = tmp_path / "paint.py"
+    path.write_text("green = 1", encoding="utf-8")
+    return path
+
+
+def test_what_was_painted_before_is_read(tmp_path, source):
+    paint = Painter()
+    first, again = (kept_pictures(paint, (source,), tmp_path / "kept") for _ in range(2))
+    assert paint.times == 1 and len(again) == 2
+    for one, other in zip(first, again, strict=True):
+        assert other.dtype == np.uint8
+        np.testing.assert_array_equal(one, other)
+
+
+def test_other_code_and_other_packages_paint_anew_and_one_painting_is_kept(tmp_path, source, monkeypatch):
+    paint = Painter()
+    kept_pictures(paint, (source,), tmp_path / "kept")
+    source.write_text("green = 2", encoding="utf-8")
+    kept_pictures(paint, (source,), tmp_path / "kept")
+    assert paint.times == 2
+    monkeypatch.setattr(module, "VERSIONS", ("0.1", "0.2", "0.3"))
+    kept_pictures(paint, (source,), tmp_path / "kept")
+    assert paint.times == 3
+    assert len(list((tmp_path / "kept").iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: b"",
+        lambda content: content[: len(content) // 2],
+        lambda content: b"PK" * 99,
+        lambda content: content[:400] + b"\xff\xfe\xfd" + content[403:],
+    ],
+)
+def test_a_damaged_file_is_painted_anew(tmp_path, source, damage):
+    paint = Painter()
+    kept_pictures(paint, (source,), tmp_path / "kept")
+    (path,) = (tmp_path / "kept").iterdir()
+    path.write_bytes(damage(path.read_bytes()))
+    found = kept_pictures(paint, (source,), tmp_path / "kept")
+    assert paint.times == 2 and (found[0] == 82).all()
+    kept_pictures(paint, (source,), tmp_path / "kept")
+    assert paint.times == 2
+
+
+def test_a_folder_that_cannot_be_made_is_no_error(tmp_path, source):
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    paint = Painter()
+    assert len(kept_pictures(paint, (source,), tmp_path / "file" / "kept")) == 2
+    assert paint.times == 1
+
+
+def test_all_code_that_paints_counts():
+    """What the painters import of the project is among the files that are looked at, but for what cannot change a picture."""
+    apart = {"terrain.cache", "terrain.compiled", "terrain.errors", "terrain.trees.kept_pictures"}
+    files = {path.resolve() for path in PAINTED_BY}
+    assert len(files) == 3
+    for path in files:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("terrain") and node.module not in apart:
+                assert ROOT / f"{node.module.replace('.', '/')}.py" in files, node.module
