@@ -40,7 +40,7 @@ def dark_at(trial: Trial, heights: np.ndarray, sun: tuple[float, float], pixels_
         buffer = geometry_of(scene, view)
         rays = ray_scene(buffer, scene, casters_of(scene, buffer), ALL_KINDS)
         return buffer.there & (attached(buffer, scene) | ~lit_from(buffer, scene, "sun", rays))
-    return trial.see(scene, view, map_size=4096).dark
+    return trial.see(scene, view, map_size=4096 if trial.thorough else 1024).dark
 
 
 def cells_on_the_way(azimuth_deg: float, reach: int) -> Iterator[tuple[int, int, float]]:
