@@ -24,6 +24,9 @@ from tests.render import plan_of, render
 
 SIDE_M = 96
 
+FEW_PX = 48
+"""Side of pictures that are compared to the bit with each other."""
+
 
 @pytest.fixture
 def ridge(write_raster, make_scene) -> Scene:
@@ -50,6 +53,12 @@ def with_points(scene: Scene, view: MapView, **overrides) -> Frame:
     return render_frame(scene, view, plan_of(scene, view, **overrides), pixels_show="points")
 
 
+@pytest.fixture(scope="module")
+def shares() -> dict[int, np.ndarray]:
+    """How much of each pixel of the ridge's view is lit, by 16 x 16 points, made once for a view of so many pixels a side."""
+    return {}
+
+
 def means(values: np.ndarray, side: int) -> np.ndarray:
     return values.reshape(values.shape[0] // side, side, values.shape[1] // side, side).mean(axis=(1, 3))
 
@@ -57,11 +66,13 @@ def means(values: np.ndarray, side: int) -> np.ndarray:
 @pytest.mark.parametrize(("pixels", "algorithm"), [
     (96, "sweep"), (128, "sweep"), (70, "sweep"), (96, "shadow_map"), (96, "shadow_volume"), (96, "hybrid"), (96, "truth"),
 ])  # fmt: skip
-def test_what_is_shown_is_the_share_of_the_pixel_that_is_lit(gl, ridge, pixels, algorithm):
+def test_what_is_shown_is_the_share_of_the_pixel_that_is_lit(gl, ridge, shares, pixels, algorithm):
     """Against 16 x 16 points a pixel: nearer by far than one point is, and without a bias."""
     view = view_of(ridge, pixels)
     frame = render(ridge, view, algorithm=algorithm)
-    exact = means(with_points(ridge, view.finer(16), algorithm="sweep").visibility, 16)
+    if pixels not in shares:
+        shares[pixels] = means(with_points(ridge, view.finer(16), algorithm="sweep").visibility, 16)
+    exact = shares[pixels]
     inside = binary_erosion(frame.height_m < 0.01, iterations=2)  # the plain: the ridge's own rounding is another matter
     partly = inside & (exact > 0.02) & (exact < 0.98)
     assert partly.sum() > 80
@@ -171,7 +182,7 @@ def test_points_are_looked_up_alike_among_all_and_one_after_another(gl, place, l
 @pytest.mark.parametrize("filter", [1, 3, 5])
 def test_where_a_map_is_empty_nothing_but_time_is_saved(gl, place, filter, request, monkeypatch):
     scene = request.getfixturevalue(place)
-    quick = render(scene, view_of(scene), algorithm="shadow_map", filter=filter)
+    quick = render(scene, view_of(scene, FEW_PX), algorithm="shadow_map", filter=filter)
     program = type(gl).program
 
     def thorough(device, vertex, fragment, constants=None):
@@ -179,7 +190,7 @@ def test_where_a_map_is_empty_nothing_but_time_is_saved(gl, place, filter, reque
         return program(device, vertex, fragment, None if constants is None else {**constants, "lit_by_taps": False})
 
     monkeypatch.setattr(type(gl), "program", thorough)
-    slow = render(scene, view_of(scene), algorithm="shadow_map", filter=filter)
+    slow = render(scene, view_of(scene, FEW_PX), algorithm="shadow_map", filter=filter)
     assert 0.0 < np.nanmean(slow.visibility) < 1.0
     np.testing.assert_array_equal(quick.visibility, slow.visibility)
     np.testing.assert_array_equal(quick.color, slow.color)
