@@ -244,6 +244,8 @@ def test_plans_are_made_once(run: Run, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_reasons(run: Run, monkeypatch: pytest.MonkeyPatch):
+    run.zooms = 11, 12
+
     def reasons() -> set[str]:
         with work_of(run) as table:
             planning.plan_run(table, run.request, lambda text: None)
