@@ -122,7 +122,7 @@ def test_truth_of_a_wall_ends_where_the_closed_form_says(write_raster, make_scen
     heights = np.zeros((21, 201), np.float32)
     heights[:, 99:102] = 30.0  # its top reaches from x = 99.5 to 101.5
     wall = make_scene(write_raster(heights, ENGINEERING, 0, 21.0, 1.0), azimuth, 30.0)
-    view = wall.view(bounds=(20, 5, 180, 15), size=(1600, 100))
+    view = wall.view(bounds=(20, 9, 180, 11), size=(1600, 20))
     frame = render(wall, view, algorithm="truth")
     x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
     dark = shadow(frame)[:, (x < 98) | (x > 103)]
@@ -155,7 +155,7 @@ def comparison(scene) -> Iterator[Comparison]:
     x, y = scene.view().centre
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("selector.measure.compare.ROW_REPEATS", 0)
-        yield compare(scene, scene.view(bounds=(x - 4000, y - 4000, x + 4000, y + 4000), size=(250, 250)))
+        yield compare(scene, scene.view(bounds=(x - 2000, y - 2000, x + 2000, y + 2000), size=(125, 125)))
 
 
 def test_the_noise_floor_is_far_below_the_errors(gl, comparison, usual):
@@ -215,7 +215,7 @@ def test_compare_lists_candidates_and_marks_the_front(gl, comparison):
     sizes = {row.figures["settings"]["sun"]["relief"]["map_size"]: row for row in maps}
     assert sizes[512].figures["wrong"] > sizes[4096].figures["wrong"]
     assert sizes[512].figures["counters"]["map_texels"] < sizes[4096].figures["counters"]["map_texels"]
-    picture = false_colours(np.zeros((250, 250)), sizes[512])
+    picture = false_colours(np.zeros((125, 125)), sizes[512])
     assert (picture == (214, 30, 30)).all(axis=-1).sum() == sizes[512].false_shadow.sum()
     assert (picture == (30, 70, 214)).all(axis=-1).sum() == sizes[512].missed_shadow.sum() > 0
 
