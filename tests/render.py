@@ -25,6 +25,12 @@ def render(scene: Scene, view: MapView | None = None, **overrides: Any) -> Frame
     return render_frame(scene, view, plan_of(scene, view, **overrides))
 
 
+def render_points(scene: Scene, view: MapView | None = None, **overrides: Any) -> Frame:
+    """The same without what is shown of edges, which takes the longer part: for who looks at visibility, of pixels' own points."""
+    view = view or scene.view()
+    return render_frame(scene, view, plan_of(scene, view, **overrides), pixels_show="points")
+
+
 def shadow(frame: Frame) -> np.ndarray:
     """The class of each pixel: True in shadow, False where lit or where there is no surface."""
     return np.nan_to_num(frame.visibility, nan=1.0) < 0.5

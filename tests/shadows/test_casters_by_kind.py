@@ -20,7 +20,7 @@ from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from terrain.ground.generated_ground import ENGINEERING
 from terrain.level.level import SUN, SunSpec, load_level
 from terrain.scene import Scene, build_scene
-from tests.render import plan_of, render
+from tests.render import plan_of, render_points
 
 KINDS = ("relief", "meshes", "forest")
 
@@ -80,8 +80,8 @@ def test_shadow_maps_of_the_kinds_multiply_to_the_map_of_all(gl, village, taps, 
     of kinds overlap.
     """
     view = view_of(village)
-    whole = render(village, view, algorithm="shadow_map", map_size=1024, filter=taps)
-    single = [render(village, view, algorithm=alone("shadow_map", kind), map_size=1024, filter=taps) for kind in KINDS]
+    whole = render_points(village, view, algorithm="shadow_map", map_size=1024, filter=taps)
+    single = [render_points(village, view, algorithm=alone("shadow_map", kind), map_size=1024, filter=taps) for kind in KINDS]
     there = whole.there
     shares = [frame.visibility[there].astype(np.float64) for frame in single]
     product, together = np.prod(shares, axis=0), whole.visibility[there]
@@ -99,14 +99,14 @@ def test_each_kind_has_passes_of_its_own(gl, village):
     """``relief=truth,meshes=shadow_map,forest=truth``: kinds that share an algorithm go together; the product is the picture."""
     view = view_of(village)
     names = {"relief": "truth", "meshes": "shadow_map", "forest": "truth"}
-    frame = render(village, view, algorithm=names, map_size=512)
+    frame = render_points(village, view, algorithm=names, map_size=512)
     assert frame.plan.algorithm == {SUN: names} and Plan.model_validate_json(frame.plan.model_dump_json()) == frame.plan
     assert [name for name in frame.plan.passes if "/" in name] == [
         *PassLog.named(SUN, ("relief", "forest"), ("rays",)), *PassLog.named(SUN, ("meshes",), ("depth map", "visibility")),
     ]  # fmt: skip
     parts = [
-        render(village, view, algorithm={**names, "meshes": "none"}, map_size=512).visibility,
-        render(village, view, algorithm=alone("shadow_map", "meshes"), map_size=512).visibility,
+        render_points(village, view, algorithm={**names, "meshes": "none"}, map_size=512).visibility,
+        render_points(village, view, algorithm=alone("shadow_map", "meshes"), map_size=512).visibility,
     ]
     np.testing.assert_array_equal(frame.visibility, parts[0] * parts[1])
 
@@ -122,8 +122,8 @@ def test_projected_kinds_multiply_exactly(gl, tmp_path):
     (tmp_path / "floor.yaml").write_text(json.dumps(level), encoding="utf-8")
     scene = build_scene(load_level(tmp_path / "floor.yaml"))
     view = scene.view(bounds=(-30, -30, 30, 30), size=(230, 230))
-    together = render(scene, view, algorithm="planar").visibility
-    single = {kind: render(scene, view, algorithm=alone("planar", kind)).visibility for kind in KINDS}
+    together = render_points(scene, view, algorithm="planar").visibility
+    single = {kind: render_points(scene, view, algorithm=alone("planar", kind)).visibility for kind in KINDS}
     assert (single["relief"] == 1.0)[np.isfinite(together)].mean() > 0.9  # what is turned away is dark, and nothing else
     assert all((single[kind] < single["relief"]).sum() > 50 for kind in ("meshes", "forest"))
     np.testing.assert_array_equal(np.prod(list(single.values()), axis=0), together)

@@ -16,7 +16,7 @@ from terrain.geo.grid import MapView
 from terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING
-from tests.render import plan_of, render, shadow
+from tests.render import plan_of, render_points, shadow
 
 BLOCK_M = 100.0
 ALTITUDE = 30.0
@@ -48,7 +48,7 @@ def check_block(scene: Scene, view: MapView, to_local: Callable, corners: np.nda
     texel = plan.settings["sun"]["relief"].cascades[0].texel_m
     texel_m = max(texel[0], texel[1] / np.sin(np.radians(ALTITUDE)))
     assert texel_m < 1.5
-    frame = render(scene, view, filter=1, map_size=1024)
+    frame = render_points(scene, view, filter=1, map_size=1024)
     cols, rows = np.meshgrid(view.col0 + np.arange(view.cols) * view.col_step, view.row0 + np.arange(view.rows) * view.row_step)
     middle = view.centre
     points = np.stack(to_local(view.grid.x(cols) - middle[0], view.grid.y(rows) - middle[1]), axis=-1)
@@ -76,7 +76,7 @@ def test_wall_and_step_in_closed_form(gl, step_m, end_m, write_raster, make_scen
     heights[:, :125] = step_m
     scene = make_scene(write_raster(heights, ENGINEERING, 0.0, 41.0, 1.0), azimuth=90.0, altitude=ALTITUDE)
     view = scene.view(bounds=(80, 10, 160, 30), size=(1280, 320))
-    frame = render(scene, view, filter=1, map_size=2048)
+    frame = render_points(scene, view, filter=1, map_size=2048)
     x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
     ends = np.array([x[row].min() for row in shadow(frame)])
     np.testing.assert_allclose(ends, end_m, atol=0.15)  # a texel on the ground
@@ -99,7 +99,7 @@ def test_far_ridge_shades_a_tile_and_a_cut_raster_says_so(gl, pixel_m, write_ras
         raster = write_raster(heights[:, first:], "EPSG:32633", x0 + first * cell, y0, cell, name=f"{name}.tif")
         scene = make_scene(raster, 270.0, 2.0)
         # Angles are given at the anchor, which the cut moves: the sun of the whole raster is the one meant.
-        frames.append((scene, render(scene, scene.view(bounds=bounds, size=(512, 512)), filter=1)))
+        frames.append((scene, render_points(scene, scene.view(bounds=bounds, size=(512, 512)), filter=1)))
     (scene, whole), (_, cut) = frames
     assert not whole.reach.clipped and whole.reach.needed_m == pytest.approx(39_000, abs=1500)
     assert shadow(whole)[:, :40].all()
@@ -119,7 +119,7 @@ def test_a_view_in_which_nothing_casts_says_how_far_ground_would_count(gl, write
     look = {"kind": "perspective", "eye": eye, "target": target, "fov": 50, "size": [200, 150]}
     scene = make_scene(raster, 180.0, 40.0, views={"eye": look})
     view = scene.view("eye")
-    frame = render(scene, view)
+    frame = render_points(scene, view)
     assert not frame.plan.casts
     assert frame.reach.clipped and frame.reach.used_m < frame.reach.needed_m
     whole = reach_of(scene, geometry_of(scene, view))

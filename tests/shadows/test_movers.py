@@ -24,7 +24,7 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.level.level import SUN, load_level
 from terrain.scene import Scene, build_scene
-from tests.render import render
+from tests.render import render, render_points
 
 MARGIN_M = 0.35
 """How near to an outline a pixel (0.5 m in the map) may be on the wrong side."""
@@ -113,7 +113,7 @@ def test_a_box_on_a_path_throws_its_shadow_where_it_is(gl, build, algorithm, kin
     scene = build(meshes=[on_path(*AWAY)])
     for seconds, at in ((0.0, (22, 20, 0)), (5.0, (52, 40, 12)), (10.0, (82, 60, 24)), (99.0, (82, 60, 24))):
         later = scene.at_second(seconds)
-        frame = render(later, view_of(later, kind), algorithm=algorithm, map_size=1024, filter=1)
+        frame = render_points(later, view_of(later, kind), algorithm=algorithm, map_size=1024, filter=1)
         assert frame.plan.algorithm[SUN]["meshes"] == algorithm
         check_shadow(later, frame, SUN, thrown(corners(at)))
 
@@ -124,7 +124,7 @@ def test_its_shadow_falls_into_a_view_that_it_is_far_from(gl, build):
     scene = build(meshes=[on_path(*keys)]).at_second(8.0)
     view = scene.view(bounds=(2, 2, 26, 26), size=(80, 80))
     for algorithm in ALGORITHMS:
-        frame = render(scene, view, algorithm=algorithm, map_size=1024, filter=1)
+        frame = render_points(scene, view, algorithm=algorithm, map_size=1024, filter=1)
         check_shadow(scene, frame, SUN, thrown(corners((70, 10, 60))))
 
 
@@ -132,7 +132,7 @@ def test_in_post_perspective_space_it_throws_its_shadow_where_it_is(gl, build):
     scene = build(meshes=[on_path(*AWAY)])
     for seconds, at in ((5.0, (52, 40, 12)), (10.0, (82, 60, 24))):
         later = scene.at_second(seconds)
-        frame = render(
+        frame = render_points(
             later, later.view("eye"), algorithm={"relief": "none", "meshes": "perspective_shadow_map"}, map_size=2048, filter=1
         )
         check_shadow(later, frame, SUN, thrown(corners(at)))
@@ -193,7 +193,9 @@ def test_a_spot_that_moves_throws_a_post_s_shadow_from_where_it_is(gl, build, al
         np.testing.assert_allclose(lamp_now.position_earth_m, at, atol=1e-6)
         aim = np.array([*target, 0.0]) - at
         np.testing.assert_allclose(lamp_now.earth_from_lamp[:, 2], aim / np.linalg.norm(aim), atol=1e-6)
-        frame = render(later, later.view(bounds=(18, 18, 82, 82), size=(128, 128)), algorithm=algorithm, map_size=1024, filter=1)
+        frame = render_points(
+            later, later.view(bounds=(18, 18, 82, 82), size=(128, 128)), algorithm=algorithm, map_size=1024, filter=1
+        )
         check_shadow(later, frame, "lamp", thrown(corners((50, 50, 0)), at), lit=shapely.Point(target).buffer(10.0))
 
 
@@ -207,7 +209,9 @@ def test_an_omni_light_on_a_loop_throws_a_post_s_shadow_round(gl, build, algorit
     for seconds in (0.0, 4.0, 16.0 * 50 + 8.0, -4.0):
         at = (*ring[int(seconds / 4) % 4], 9)
         later = scene.at_second(seconds)
-        frame = render(later, later.view(bounds=(18, 18, 82, 82), size=(128, 128)), algorithm=algorithm, map_size=1024, filter=1)
+        frame = render_points(
+            later, later.view(bounds=(18, 18, 82, 82), size=(128, 128)), algorithm=algorithm, map_size=1024, filter=1
+        )
         check_shadow(later, frame, "lamp", thrown(corners((50, 50, 0)), at), lit=shapely.box(20, 20, 80, 80))
 
 

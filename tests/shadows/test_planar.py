@@ -28,7 +28,7 @@ from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from terrain.ground.generated_ground import ENGINEERING
 from terrain.level.level import SUN, load_level
 from terrain.scene import Scene, build_scene
-from tests.render import plan_of, render
+from tests.render import plan_of, render, render_points
 
 Build = Callable[..., Scene]
 
@@ -116,7 +116,7 @@ def test_the_shadow_of_a_box_is_as_long_as_its_height_over_the_tangent(gl, build
     """The sun in the south: north of a box 6 m deep and 5 m high the shadow ends after h / tan(a), to a pixel."""
     scene = build(180.0, altitude, meshes=[BOX])
     view = scene.view(bounds=(-30, -30, 30, 30), size=(600, 600))
-    frame = render(scene, view, algorithm="planar")
+    frame = render_points(scene, view, algorithm="planar")
     y = view.grid.y(view.row0 + np.arange(view.rows) * view.row_step)
     dark = frame.visibility[:, 300] < 0.5
     ground = frame.height_m[:, 300] == 0.0
@@ -130,7 +130,7 @@ def test_a_lamp_s_shadow_ends_on_the_line_from_the_lamp_over_the_edge(gl, build)
     lamp = {"kind": "omni", "position": [0, -20, 15]}
     scene = build(sun="none", lights={"lamp": lamp}, meshes=[BOX])
     view = scene.view(bounds=(-30, -30, 30, 30), size=(600, 600))
-    frame = render(scene, view, algorithm="planar")
+    frame = render_points(scene, view, algorithm="planar")
     y = view.grid.y(view.row0 + np.arange(view.rows) * view.row_step)
     dark = (frame.visibility[:, 300] < 0.5) & (frame.height_m[:, 300] == 0.0)
     assert y[dark].max() == pytest.approx(-20 + 23 * 1.5, abs=0.1) and y[dark].min() > 3.0
@@ -150,7 +150,7 @@ def test_on_the_ground_of_the_bundled_scenes_it_is_truth(gl, level, name):
     """At most 1 decidable ground pixel of 10,000 is wrong (measured: 1 of 100,000)."""
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     view = scene.view(name, size=(320, 256) if name == "main" else (160, 160))
-    frame = render(scene, view, algorithm="planar")
+    frame = render_points(scene, view, algorithm="planar")
     wrong, shadow = ground_errors(scene, view, frame.visibility, frame.plan.lights[0])
     assert wrong <= 1e-4 and shadow > 0.01
 
@@ -196,7 +196,9 @@ def test_what_is_covered_twice_is_as_dark_as_what_is_covered_once(gl, build):
     view = scene.view(bounds=(-30, -30, 30, 30), size=(300, 300))
     frame = render_frame(scene, view, plan_of(scene, view, algorithm="planar"), layers=frozenset({"stencil"}))
     stencil = frame.layers["stencil"][SUN]
-    single = [render(build(180.0, 25.0, meshes=[{"source": "box.obj", "at": [0, y]}]), view, algorithm="planar") for y in (0, 9)]
+    single = [
+        render_points(build(180.0, 25.0, meshes=[{"source": "box.obj", "at": [0, y]}]), view, algorithm="planar") for y in (0, 9)
+    ]
     ground = frame.height_m == 0.0
     both = ground & (single[0].visibility == 0.0) & (single[1].visibility == 0.0)
     assert both.sum() > 100

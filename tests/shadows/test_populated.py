@@ -32,7 +32,7 @@ from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
 from terrain.level.level import SUN, load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
-from tests.render import plan_of, render
+from tests.render import plan_of, render, render_points
 
 Build = Callable[..., Scene]
 
@@ -94,7 +94,7 @@ def test_the_shade_of_a_wood_is_near_truth(gl, build, kind):
     """Coverage of blocks of 16 pixels, truth by 16 points a pixel: within 0.02."""
     scene = build(forest=[WOOD])
     view = view_of(scene, kind)
-    frame = render(scene, view, map_size=4096)
+    frame = render_points(scene, view, map_size=4096)
     buffer = geometry_of(scene, view)
     casters = casters_of(scene, buffer)
     shares = coverage_truth(buffer, scene, casters, 16, blocks=48, samples=16)
@@ -110,7 +110,7 @@ def test_the_shade_of_a_wood_is_near_truth(gl, build, kind):
 def test_shadows_of_buildings_are_right_inside(gl, build, kind, altitude):
     scene = build(300.0, altitude, meshes=[HOUSE, {"source": "plank.obj", "at": [[-15, 5], [-20, -18]], "turn": 70}])
     view = view_of(scene, kind)
-    frame = render(scene, view, map_size=4096, filter=1)
+    frame = render_points(scene, view, map_size=4096, filter=1)
     buffer = geometry_of(scene, view)
     real = truth_of(buffer, scene, casters_of(scene, buffer))
     found = errors_of(frame.visibility, real, describe(scene, view).pixel_m, 0.5)
@@ -138,7 +138,7 @@ def test_each_kind_casts_its_own_shadow(gl, build):
     masks = {}
     for kind in all_kinds:
         choice = {other: "shadow_map" if other == kind else "none" for other in all_kinds}
-        frame = render(scene, view, algorithm=choice, map_size=4096, filter=1)
+        frame = render_points(scene, view, algorithm=choice, map_size=4096, filter=1)
         assert frame.plan.algorithm[SUN] == choice
         assert [name for name in frame.plan.passes if name.startswith("sun/")] == PassLog.named(
             SUN, (kind,), ("depth map", "visibility")
@@ -147,7 +147,7 @@ def test_each_kind_casts_its_own_shadow(gl, build):
         assert (masks[kind] != (real[kind] < 0.5))[ground].mean() < 0.02
     assert masks["meshes"][ground].mean() > 0.01 and masks["forest"][ground].mean() > 0.02
     assert (masks["meshes"] != masks["forest"])[ground].mean() > 0.03
-    none = render(scene, view, algorithm="none")
+    none = render_points(scene, view, algorithm="none")
     np.testing.assert_array_equal(none.visibility[buffer.there] == 0.0, attached(buffer, scene)[buffer.there])
 
 
@@ -155,9 +155,11 @@ def test_two_algorithms_share_the_kinds_of_a_light(gl, build):
     """``relief=none,meshes=truth,forest=shadow_map``: visibilities multiply, and each has its own passes."""
     scene = build(300.0, 20.0, meshes=[HOUSE], forest=[TREES])
     view = view_of(scene, "perspective")
-    both = render(scene, view, algorithm={"relief": "none", "meshes": "truth", "forest": "shadow_map"}, map_size=2048, filter=1)
+    both = render_points(
+        scene, view, algorithm={"relief": "none", "meshes": "truth", "forest": "shadow_map"}, map_size=2048, filter=1
+    )
     parts = [
-        render(scene, view, algorithm={"relief": "none", "meshes": m, "forest": f}, map_size=2048, filter=1).visibility
+        render_points(scene, view, algorithm={"relief": "none", "meshes": m, "forest": f}, map_size=2048, filter=1).visibility
         for m, f in (("truth", "none"), ("none", "shadow_map"))
     ]
     np.testing.assert_array_equal(both.visibility, parts[0] * parts[1])
@@ -188,7 +190,7 @@ def test_the_plan_names_the_kinds_there_are(build):
 def floor_shadow(scene: Scene, **options) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A map's shadow on level ground, and its pixels' coordinates; meshes count as lit."""
     view = scene.view(bounds=(-30, -30, 30, 30), size=(170, 170))
-    frame = render(scene, view, map_size=2048, filter=1, **options)
+    frame = render_points(scene, view, map_size=2048, filter=1, **options)
     x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
     y = view.grid.y(view.row0 + np.arange(view.rows) * view.row_step)
     x, y = np.meshgrid(x, y)
@@ -206,7 +208,7 @@ def test_a_stand_in_casts_instead_of_what_is_seen(gl, build):
     dark, x, y = floor_shadow(scene)
     assert not dark.any()  # 2 + 2 m west of the middle: below the house
     house = (np.abs(x) < 5.9) & (np.abs(y) < 3.9)
-    frame = render(scene, view, map_size=2048, filter=1)
+    frame = render_points(scene, view, map_size=2048, filter=1)
     assert (frame.visibility[house & (roof > 5)] == 1.0).all()  # its roof stands above the stand-in
     dark, x, y = floor_shadow(own)
     outline = (x < -6.05) & (x > -11.95) & (np.abs(y) < 3.95)

@@ -19,7 +19,7 @@ from terrain.describe import describe
 from terrain.gbuffer.picture import geometry_of
 from terrain.scene import Scene
 from tests.rasters import ENGINEERING
-from tests.render import render
+from tests.render import render, render_points
 
 PX = 170
 
@@ -74,7 +74,7 @@ def test_a_box_below_a_lamp_throws_its_projected_square(gl, floor, make_scene, t
     mesh = boxes(tmp_path, ((4.0, 3.0, 5.0), (0, 0, 2.5))) | {"at": [east, 0], "turn": turn}
     scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[mesh])
     view, x, y = square(scene, 17.0)
-    frame = render(scene, view, algorithm=algorithm, map_size=1024, filter=1)
+    frame = render_points(scene, view, algorithm=algorithm, map_size=1024, filter=1)
     roof = shapely.affinity.translate(shapely.affinity.rotate(shapely.box(-2, -1.5, 2, 1.5), turn, origin=(0, 0)), east)
     shadow = shapely.union(shapely.affinity.scale(roof, 12 / 7, 12 / 7, origin=(0, 0)), roof).convex_hull
     tangent = np.tan(np.radians(60.0)) if kind == "spot" else 1.0
@@ -93,7 +93,7 @@ def test_a_spot_lights_a_disc(gl, floor, make_scene, tmp_path, cutoff):
     mesh = boxes(tmp_path, ((1.0, 1.0, height / 20), (0, 0, height / 40))) | {"at": [-60, 60]}
     scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[mesh])
     view, x, y = square(scene, 20.0)
-    frame = render(scene, view, map_size=512)
+    frame = render_points(scene, view, map_size=512)
     away = np.hypot(x - 2, y + 3)
     assert (frame.visibilities["lamp"][away < 15.0 - 1e-3] == 1.0).all()
     assert (frame.visibilities["lamp"][away > 15.0 + 1e-3] == 0.0).all()
@@ -107,7 +107,7 @@ def test_a_tilted_spot_lights_an_ellipse_and_shades_a_post(gl, floor, make_scene
     mesh = boxes(tmp_path, ((0.8, 0.8, 3.0), (0, 0, 1.5))) | {"at": [8, 1.0]}
     scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[mesh])
     view, x, y = square(scene, 25.0)
-    frame = render(scene, view, map_size=2048, filter=1)
+    frame = render_points(scene, view, map_size=2048, filter=1)
     ground = frame.height_m < 1e-3
     axis = np.array([np.sin(np.radians(tilt)), 0.0, -np.cos(np.radians(tilt))])
     way = np.stack([x, y, np.full_like(x, -10.0)], axis=-1)
@@ -159,7 +159,7 @@ def test_an_omni_light_shines_and_is_blocked_in_all_directions(gl, floor, make_s
     walls_seen = set()
     for name in views:
         view = scene.view(name)
-        frame = render(scene, view, algorithm=algorithm, map_size=1024, filter=1)
+        frame = render_points(scene, view, algorithm=algorithm, map_size=1024, filter=1)
         point = frame.position_earth_m
         off = np.abs(point - LAMP)
         margin = 1e-3 if algorithm == "truth" else 0.03  # a texel of 20 mm and a half
@@ -184,7 +184,7 @@ def test_a_spot_straight_up_lights_a_ceiling(gl, floor, make_scene, tmp_path):
     views = {"eye": {"kind": "perspective", "eye": [1, -15, 1], "target": [0, 0, 20], "fov": 80, "size": [160, 160]}}
     lamp = {"kind": "spot", "position": [0, 0, 2], "target": [0, 0, 20], "cutoff": 30.0}
     scene = make_scene(floor, sun="none", lights={"lamp": lamp}, meshes=[boxes(tmp_path, *parts)], views=views)
-    frame = render(scene, scene.view("eye"), map_size=1024, filter=1)
+    frame = render_points(scene, scene.view("eye"), map_size=1024, filter=1)
     ceiling = frame.there & (np.abs(frame.height_m - 20.0) < 1e-3)
     x, y = frame.position_earth_m[ceiling][:, :2].T
     disc = np.hypot(x, y) - 18.0 * np.tan(np.radians(30.0))
@@ -221,7 +221,7 @@ def grove(write_raster, make_scene, tmp_path) -> Scene:
 def test_the_map_of_a_lamp_agrees_with_truth(gl, grove, light, kind):
     """No error inside of shadows or of light, on ground, walls and trees alike, and few at their borders."""
     view = grove.view("eye") if kind == "perspective" else grove.view(bounds=(-40, -40, 40, 40), size=(211, 211))
-    frame = render(grove, view, algorithm="shadow_map", map_size=2048, filter=1)
+    frame = render_points(grove, view, algorithm="shadow_map", map_size=2048, filter=1)
     buffer = geometry_of(grove, view)
     real = truth_of(buffer, grove, casters_of(grove, buffer), light=light)
     found = errors_of(frame.visibilities[light], real, describe(grove, view).pixel_m, 1.0)
@@ -249,5 +249,5 @@ def test_depths_of_any_kind_show_no_acne(gl, floor, make_scene, tmp_path, bits):
     scene = make_scene(floor, sun="none", lights={"lamp": {"kind": "omni", "position": [3.3, 1.7, 4.0]}}, meshes=[mesh])
     view, _, _ = square(scene, 60.0)
     for taps in (1, 3):
-        frame = render(scene, view, map_size=512, filter=taps, depth_bits=bits, algorithm="shadow_map")
+        frame = render_points(scene, view, map_size=512, filter=taps, depth_bits=bits, algorithm="shadow_map")
         assert (frame.visibilities["lamp"] == 1.0).all()

@@ -25,7 +25,7 @@ from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 from tests.metrics import soft_truth
 from tests.rasters import ENGINEERING
-from tests.render import block_at, plan_of, render, shadow
+from tests.render import block_at, plan_of, render_points, shadow
 
 ALTITUDE = 10.0
 
@@ -123,7 +123,7 @@ def test_truth_of_a_wall_ends_where_the_closed_form_says(write_raster, make_scen
     heights[:, 99:102] = 30.0  # its top reaches from x = 99.5 to 101.5
     wall = make_scene(write_raster(heights, ENGINEERING, 0, 21.0, 1.0), azimuth, 30.0)
     view = wall.view(bounds=(20, 9, 180, 11), size=(1600, 20))
-    frame = render(wall, view, algorithm="truth")
+    frame = render_points(wall, view, algorithm="truth")
     x = view.grid.x(view.col0 + np.arange(view.cols) * view.col_step)
     dark = shadow(frame)[:, (x < 98) | (x > 103)]
     outside = x[(x < 98) | (x > 103)]

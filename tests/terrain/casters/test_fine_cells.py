@@ -8,7 +8,7 @@ import pytest
 from terrain.casters.reach import casters_in_sun
 from terrain.gbuffer.geometry import map_geometry
 from terrain.ground import overview
-from tests.render import render, shadow
+from tests.render import render_points, shadow
 
 SIDE, CELL_M = 1024, 30.0
 WEST_M, NORTH_M = 500_000.0, 5_200_000.0
@@ -32,7 +32,7 @@ def seen(write_raster, make_scene, monkeypatch):
         x, y = WEST_M + 15_000.0, NORTH_M - 14_000.0
         view = scene.view(bounds=(x, y, x + 256 * 7.5, y + 256 * 7.5), crs="EPSG:32633", size=(256, 256))
         buffer = map_geometry(scene.surface(view.grid), view, scene.world.frame_near(view.grid.crs, *view.centre))
-        return len(casters_in_sun(scene, buffer)), shadow(render(scene, view, algorithm="sweep"))
+        return len(casters_in_sun(scene, buffer)), shadow(render_points(scene, view, algorithm="sweep"))
 
     found = {"small": look()}
     monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 256 * 256)
