@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from shadows.render import Frame
 from terrain.level.level import load_level
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
@@ -30,15 +31,19 @@ def test_a_tile_is_cut_from_the_same_pixels_as_a_bigger_map(gl, jacksboro, algor
     np.testing.assert_array_equal(small.visibility, large.visibility[:256, 256:512])
 
 
+@pytest.fixture(scope="module")
+def usual(jacksboro) -> Frame:
+    """What each option must change."""
+    return render(jacksboro, block_at(-84.25, 36.2933, 12).part(0, 0, 256, 256), algorithm="shadow_map")
+
+
 @pytest.mark.parametrize(
     "change",
     [{"map_size": 256}, {"filter": 1}, {"filter": 5}, {"algorithm": "none"}],
     ids=lambda change: "=".join(str(part) for part in next(iter(change.items()))),
 )
-def test_every_option_changes_the_picture(gl, jacksboro, change):
-    view = block_at(-84.25, 36.2933, 12).part(0, 0, 512, 512)
-    usual = render(jacksboro, view, algorithm="shadow_map")
-    changed = render(jacksboro, view, **{"algorithm": "shadow_map", **change})
+def test_every_option_changes_the_picture(gl, jacksboro, usual, change):
+    changed = render(jacksboro, usual.view, **{"algorithm": "shadow_map", **change})
     assert (usual.color != changed.color).any(axis=-1).mean() > 1e-3
 
 
