@@ -72,7 +72,7 @@ def lit_under(scene: Scene, buffer, casters: Casters, altitude_deg: float) -> np
     """Which points see a sun of another altitude, past the ground that casts (rows, cols)."""
     assert scene.sun is not None
     other = scene.with_sun(SunSpec(azimuth=scene.sun.azimuth_deg, altitude=altitude_deg))
-    return lit_from(buffer, other, SUN, ray_scene(buffer, other, casters, ALL_KINDS))
+    return lit_from(buffer, other, SUN, ray_scene(buffer, scene, casters, ALL_KINDS))  # kept: the same under each sun
 
 
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
