@@ -210,6 +210,7 @@ TEMPORARY = {
     "selector/cost/calibration_scenes.py": "levels of its own in a temporary folder",
     "shadows/truth/cache.py": "inside of what replaces a file",
     "terrain/whole_files.py": "the place where files are written",
+    "terrain/trees/kept_pictures.py": "inside of what replaces a file",
 }
 """Modules that write by other means, and what they write."""
 
