@@ -18,6 +18,11 @@ import skugga
 from api.layers import MASK_SHADOW
 from tests.rasters import write_geotiff
 
+THREADED = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+"""For chunks that are made by several threads: rasterio silences this warning of its own arrays with ``warnings.catch_warnings``,
+which threads undo for each other.
+"""
+
 CELL_M = 30.0
 LOW = {"azimuth": 250.0, "altitude": 12.0}
 
@@ -124,6 +129,7 @@ def test_rows_from_south_to_north_and_turned_dimensions(heights):
     xarray.testing.assert_equal(heights.T.skugga.shadow(**LOW), dark)
 
 
+@THREADED
 def test_chunks_are_made_one_by_one_and_are_parts_of_the_whole(heights):
     """Shadows fall from one chunk on another; what is asked for is made, and nothing before."""
     read, lock = [], threading.Lock()
@@ -142,6 +148,7 @@ def test_chunks_are_made_one_by_one_and_are_parts_of_the_whole(heights):
     np.testing.assert_array_equal(lazy[80:90, 120:130].compute(), heights.skugga.shadow(**LOW)[80:90, 120:130])
 
 
+@THREADED
 def test_hours_of_sun_by_every_door(heights, height_m):
     """From an array of a place, an open level, and the accessor, in one piece or by chunks."""
     hours = heights.skugga.sun_hours("2024-12-21", step_min=30.0)
