@@ -49,9 +49,11 @@ def cached_truth(
     shape = buffer.there.shape
     kept = arrays_kept_in(path)
     if kept is not None:
-        with suppress(OSError):  # it may be read, but not be written
-            path.touch()
-        return Truth(*(np.unpackbits(kept[name])[: shape[0] * shape[1]].reshape(shape).astype(bool) for name in _FIELDS))
+        with suppress(KeyError, ValueError):  # a file of another kind is made anew
+            found = Truth(*(np.unpackbits(kept[name])[: shape[0] * shape[1]].reshape(shape).astype(bool) for name in _FIELDS))
+            with suppress(OSError):  # it may be read, but not be written
+                path.touch()
+            return found
     truth = make(buffer, scene, casters, samples, light=light)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 
@@ -36,7 +37,9 @@ def test_the_same_content_is_made_once(tmp_path, monkeypatch):
     for name in ("lit", "attached", "decidable", "there"):
         np.testing.assert_array_equal(getattr(one, name), getattr(again, name))
     (stored,) = tmp_path.glob("*.npz")
-    for count, damaged in enumerate((b"damaged", stored.read_bytes()[:-30]), start=2):
+    other = BytesIO()
+    np.savez(other, something=np.zeros(3))
+    for count, damaged in enumerate((b"damaged", stored.read_bytes()[:-30], other.getvalue()), start=2):
         stored.write_bytes(damaged)
         cached_truth(buffer, scene, casters, 4, folder=tmp_path, make=make)
         assert len(made) == count
