@@ -26,7 +26,7 @@ from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
 from api.point.horizon_formats import HORIZON_FORMATS
 from api.raster_file import RasterCells
 from api.shade import SHADE_LAYERS
-from terrain.compiled import told_of_compiling
+from terrain.compiling.hooks import on_first_compile
 from terrain.errors import InputError, SkuggaError, printable
 from terrain.level.gdal_guard import cap_caches, forbid_code, forbid_remote_reads
 from terrain.level.level import parse_sun
@@ -552,7 +552,7 @@ def main() -> None:
     forbid_code()
     cap_caches()
     try:
-        with _ended_in_order(), told_of_compiling(_say_compiling):
+        with _ended_in_order(), on_first_compile(_say_compiling):
             status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except _UsageError as error:
         status = _fail(error.format_message(), 2)

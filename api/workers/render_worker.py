@@ -65,7 +65,8 @@ from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.cache import MIB, Cache, Missing
 from terrain.casters.slopes import extent_on_grid
-from terrain.compiled import told_of_compiling, why_not_kept
+from terrain.compiling.hooks import on_first_compile
+from terrain.compiling.loop_cache import loop_store
 from terrain.describe import describe
 from terrain.errors import Fault, GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.facts.descriptor import Descriptor
@@ -355,10 +356,10 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
         def say(text: str) -> None:
             pipe.send(Preparing(text))
 
-        if reason := why_not_kept():
-            say(reason)
-        with told_of_compiling(lambda: say("first start: compiling loops, which takes some minutes")):
+        with on_first_compile(lambda: say("first start: compiling loops, which takes some minutes")):
             renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
+        if problem := loop_store().problem:
+            say(problem)
         state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.most_ms)
         prepare(config.served, state, say)
         pipe.send(Ready(state.renderer, state.device, gl.renderer_and_version()[1], gl.egl_device_name()))
