@@ -69,11 +69,12 @@ def describe_types(args: tuple[types.Type, ...]) -> Hashable:
     return tuple(_describe_type(each) for each in args)
 
 
-def _describe_type(numba_type: Any) -> Hashable:
+def _describe_type(numba_type: types.Type) -> Hashable:
+    tuple_type: Any = numba_type  # numba's stubs do not say what it holds
     if isinstance(numba_type, types.BaseNamedTuple):
-        return "named tuple", _describe_class(numba_type.instance_class), describe_types(tuple(numba_type.types))
+        return "named tuple", _describe_class(tuple_type.instance_class), describe_types(tuple(tuple_type.types))
     if isinstance(numba_type, types.BaseTuple):
-        return "tuple", describe_types(tuple(numba_type.types))
+        return "tuple", describe_types(tuple(tuple_type.types))
     if isinstance(numba_type, types.Optional):
         return "optional", _describe_type(numba_type.type)
     return str(numba_type)
