@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -26,7 +26,7 @@ from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
 from api.point.horizon_formats import HORIZON_FORMATS
 from api.raster_file import RasterCells
 from api.shade import SHADE_LAYERS
-from terrain.compiling.hooks import on_first_compile
+from terrain.compiling.hooks import compiled_by
 from terrain.errors import InputError, SkuggaError, printable
 from terrain.level.gdal_guard import cap_caches, forbid_code, forbid_remote_reads
 from terrain.level.level import parse_sun
@@ -533,6 +533,14 @@ def raster_overviews(
     typer.echo(printable(f"Wrote {path}"))
 
 
+@app.command("compile")
+def compile_loops() -> None:
+    """Compile all loops ahead, for this user and processor, so that no later command waits for it."""
+    from api.cli.compiling import compile_everything
+
+    typer.echo(compile_everything(_progress))
+
+
 @app.command()
 def doctor(as_json: JsonOption = False) -> None:
     """Check OpenGL and packages of this machine, and name what is missing."""
@@ -552,7 +560,7 @@ def main() -> None:
     forbid_code()
     cap_caches()
     try:
-        with _ended_in_order(), on_first_compile(_say_compiling):
+        with _ended_in_order(), compiled_by(_compile_products):
             status = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except _UsageError as error:
         status = _fail(error.format_message(), 2)
@@ -573,9 +581,10 @@ def main() -> None:
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _say_compiling() -> None:
-    if sys.stderr.isatty():
-        typer.echo("skugga: compiling loops, once for this installation: some minutes", err=True)
+def _compile_products(products: Sequence[str]) -> None:
+    from api.cli.compiling import compile_for_command
+
+    compile_for_command(products, _progress)
 
 
 @contextmanager

@@ -1,28 +1,41 @@
-"""What a process does when it first meets a loop that is stored nowhere. Imports no numba, so that light commands may set it."""
+"""What a process does when it meets a loop that is stored nowhere. Imports no numba, so that light commands may set it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-_first_compile: list[Callable[[], None]] = []
+Compile = Callable[[Sequence[str]], None]
+"""Compiles all that some products need."""
+
+_compilers: list[Compile] = []
+_needed: dict[str, None] = {}
+_compiled: set[str] = set()
+
+
+def need(product: str) -> None:
+    """Declare what is being made (one of ``ahead.PRODUCTS``): if a loop is missing, all loops of it are compiled together."""
+    _needed[product] = None
 
 
 @contextmanager
-def on_first_compile(call: Callable[[], None]) -> Iterator[None]:
-    """Call a function once, before the first loop is compiled that is stored nowhere, if that happens within the block."""
-    _first_compile.append(call)
+def compiled_by(compile_products: Compile) -> Iterator[None]:
+    """Within the block, call a function with the products that are needed when a loop is first found missing.
+
+    It is called again only when other products are needed. Loops that are missing after that are compiled one by one.
+    """
+    _compilers.append(compile_products)
     try:
         yield
     finally:
-        if call in _first_compile:
-            _first_compile.remove(call)
+        _compilers.remove(compile_products)
 
 
-def report_compile() -> bool:
-    """Call what waits for the first compilation, each function once; return whether there was any."""
-    calls = list(_first_compile)
-    _first_compile.clear()
-    for call in calls:
-        call()
-    return bool(calls)
+def report_missing_loop() -> bool:
+    """Compile the products that are needed; return whether any was, so that the loop may be stored by now."""
+    products = [product for product in _needed if product not in _compiled]
+    if not products or not _compilers:
+        return False
+    _compiled.update(products)
+    _compilers[-1](products)
+    return True

@@ -21,7 +21,7 @@ from numba.core.serialize import dumps
 from numba.core.types import Type
 
 from terrain.compiling.digest import UnknownValueError, describe_function, describe_types, digest
-from terrain.compiling.hooks import report_compile
+from terrain.compiling.hooks import report_missing_loop
 from terrain.compiling.store import LoopStore, default_store
 
 ENTRY_FORMAT = 1
@@ -47,7 +47,10 @@ _normalized: Callable[[Any], tuple[tuple[Type, ...], Any]] = sigutils.normalize_
 
 _store: list[LoopStore] = []
 _mixed: set[Loop] = set()
-_recorders: list[Callable[[Loop, tuple[Type, ...]], None]] = []
+
+recorders: list[Callable[[Loop, tuple[Type, ...]], None]] = []
+"""Functions that are called with each loop that was compiled in this process, and the types of its arguments."""
+
 _lock = threading.RLock()
 
 
@@ -114,14 +117,14 @@ class LoopCache(_Cache):
         if not self._enabled:
             return None
         found = self._read(args, target_context)
-        if found is None and report_compile():  # what was called may have compiled it in another process
+        if found is None and report_missing_loop():  # what was called may have compiled it in another process
             found = self._read(args, target_context)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the machine code of a signature."""
         args = _normalized(sig)[0]
-        for record in _recorders:
+        for record in recorders:
             record(self._dispatcher, args)
         if not self._enabled or data.library.has_dynamic_globals or data.lifted:
             return

@@ -35,7 +35,7 @@ def through(x):
 CALLER = """
 import b
 from terrain.compiled import compiled
-from terrain.compiling.hooks import on_first_compile
+from terrain.compiling.loop_cache import recorders
 
 @compiled
 def f(x):
@@ -50,9 +50,9 @@ def difference(pair):
     return pair.first - pair.second
 
 if __name__ == "__main__":
-    said = []
-    with on_first_compile(lambda: said.append("compiling")):
-        print(f(2.0), derived(2.0), difference(b.Pair(first=5.0, second=3.0)), *said)
+    compiled = []
+    recorders.append(lambda loop, args: compiled.append(loop.py_func.__name__))
+    print(f(2.0), derived(2.0), difference(b.Pair(first=5.0, second=3.0)), *["compiling"] * bool(compiled))
 """
 
 
@@ -151,8 +151,8 @@ def test_processes_that_compile_at_the_same_time_lose_nothing(modules: Modules) 
         for each in arguments
     ]
     assert [process.wait() for process in started] == [0, 0, 0]
-    code = "import a, b, numpy as np; from terrain.compiling.hooks import on_first_compile as on\n"
-    code += "with on(lambda: print('compiling')): print(a.f(2), a.f(2.0), a.f(np.float32(2)))"
+    code = "import a, numpy as np; a.recorders.append(lambda *_: print('compiling'))\n"
+    code += "print(a.f(2), a.f(2.0), a.f(np.float32(2)))"
     assert modules.run(code=code) == "4.0 4.0 4.0"
 
 
