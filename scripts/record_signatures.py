@@ -56,8 +56,8 @@ def write_rasters(folder: Path) -> list[Path]:
     return paths
 
 
-def _draw(sources: Sequence[Path], layers: Sequence[str]) -> None:
-    """Draw tiles of levels in some layers: coarse, of the data's size and magnified; under suns along rows and columns."""
+def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[float, float]] = ()) -> None:
+    """Draw tiles of levels: colours at coarse zooms, at the data's own and magnified, under some suns; other layers at one zoom."""
     from api.http.first_blocks import first_block
     from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevels
     from api.matrices import OVERZOOMS
@@ -66,21 +66,19 @@ def _draw(sources: Sequence[Path], layers: Sequence[str]) -> None:
     from api.workers.warm_up import warm_up
     from terrain.level.parts import SunSpec
 
-    suns = None, SunSpec(azimuth=350.0, altitude=35.0), SunSpec(azimuth=80.0, altitude=5.0)
     state = WorkerState(warm_up())
     for level in ServedLevels(sources).known():
         zooms = level.zooms.get(DEFAULT_MATRIX_SET)
-        for zoom in [] if zooms is None else dict.fromkeys((max(zooms.last - OVERZOOMS, zooms.first), zooms.first, zooms.last)):
+        if zooms is None:
+            continue
+        own = max(zooms.last - OVERZOOMS, zooms.first)
+        colors = [(zoom, "color", sun) for zoom in dict.fromkeys((own, zooms.first, zooms.last)) for sun in (None, *suns)]
+        for zoom, layer, sun in [*colors, *((own, layer, None) for layer in layers)]:
             block = first_block(level, zoom)
-            for sun in suns:
-                for layer in layers:
-                    update = {
-                        "layer": layer,
-                        "format": "npy" if layer == "visibility" else "png",
-                        "request": PictureRequest(sun=sun),
-                    }
-                    assert block is not None
-                    run_job(block.model_copy(update=update), state)
+            assert block is not None
+            spec = None if sun is None else SunSpec(azimuth=sun[0], altitude=sun[1])
+            suffix = "npy" if layer == "visibility" else "png"
+            run_job(block.model_copy(update={"layer": layer, "format": suffix, "request": PictureRequest(sun=spec)}), state)
 
 
 def _command(*words: object) -> None:
@@ -94,13 +92,13 @@ def _command(*words: object) -> None:
 
 
 def maps(rasters: Sequence[Path], folder: Path) -> None:
-    _draw(rasters, ["color", "shadow", "mask", "visibility", "terrain-rgb"])
+    _draw(rasters, ["shadow", "mask", "visibility", "terrain-rgb"], suns=[(350.0, 35.0), (80.0, 5.0)])  # along columns and rows
 
 
 def maps_of_casters(rasters: Sequence[Path], folder: Path) -> None:
     from api.catalogue import find_level
 
-    _draw([find_level("jacksboro_wooded"), find_level("jacksboro_alpine")], ["color", "shadow"])
+    _draw([find_level("jacksboro_wooded"), find_level("jacksboro_alpine")], ["shadow"])
 
 
 def pictures(rasters: Sequence[Path], folder: Path) -> None:

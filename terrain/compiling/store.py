@@ -16,6 +16,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from terrain.compiling.bundle import FOLDER
 from terrain.user_cache import user_cache
 
 FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
@@ -150,8 +151,7 @@ class LoopStore:
 def default_store() -> LoopStore:
     """Return this user's store: the folder that ``NUMBA_CACHE_DIR`` names, else the user's cache, over the installation's own."""
     named = os.environ.get(FOLDER_VARIABLE)
-    bundled = Path(__file__).with_name("bundled")
-    return LoopStore(Path(named) if named else user_cache("loops"), bundled if bundled.is_dir() else None)
+    return LoopStore(Path(named) if named else user_cache("loops"), FOLDER if FOLDER.is_dir() else None)
 
 
 def _is_trusted(state: os.stat_result) -> bool:
