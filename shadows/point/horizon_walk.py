@@ -181,7 +181,7 @@ def _follow(pages, lines, found, wanted, n):
             i, j = int(np.floor(r)), int(np.floor(c))
             page_row, page_col = i // PATCH_QUADS, j // PATCH_QUADS
             a, b = page_row - pages.first_row, page_col - pages.first_col
-            t_out = _leaving(r0, dr, c0, dc, page_row * PATCH_QUADS, page_col * PATCH_QUADS, PATCH_QUADS, t + step)
+            t_out = _leaving(r0, dr, c0, dc, page_row * PATCH_QUADS, page_col * PATCH_QUADS, float(PATCH_QUADS), t + step)
             known = a >= 0 and b >= 0 and a < rows and b < cols
             if not known or not _may_rise(pages.bound[a, b], eye, best, kappa, s0 + t * ds, s0 + min(t_out, 1.0) * ds):
                 t = t_out
@@ -198,13 +198,13 @@ def _follow(pages, lines, found, wanted, n):
             tile_row, tile_col = i // TILE_QUADS, j // TILE_QUADS
             t_out = _leaving(
                 r0, dr, c0, dc, page_row * PATCH_QUADS + tile_row * TILE_QUADS, page_col * PATCH_QUADS + tile_col * TILE_QUADS,
-                TILE_QUADS, t + step,
+                float(TILE_QUADS), t + step,
             )  # fmt: skip
             if not _may_rise(pages.high[number, tile_row, tile_col], eye, best, kappa, s0 + t * ds, s0 + min(t_out, 1.0) * ds):
                 t = t_out
                 continue
             top, left = page_row * PATCH_QUADS + i, page_col * PATCH_QUADS + j
-            t_out = _leaving(r0, dr, c0, dc, top, left, 1, t + step)
+            t_out = _leaving(r0, dr, c0, dc, top, left, 1.0, t + step)
             if away >= lines.near:
                 height = pages.height[number]
                 end = min(t_out, 1.0)

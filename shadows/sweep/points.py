@@ -52,7 +52,8 @@ def in_strip(row, col, t, own, interval, rows, start, stop):
     """The points (n,) whose t is from ``start`` on and before ``stop``, in the order of their row intervals: their numbers, and
     what ``StripPoints`` has of them, up to ``own``. Columns count the left border.
     """
-    begins = np.zeros(rows + 1, np.int64)
+    begins = np.empty(rows + 1, np.int64)
+    begins[:] = 0
     for n in range(t.size):
         if start <= t[n] < stop:
             begins[interval[n] + 1] += 1
@@ -85,13 +86,14 @@ def see_points(sheet, strip, i, points):
     first, last = begins[i], begins[i + 1]
     cols = level.shape[1]
     above, below = level[i], level[i + 1]
+    here, further, columns = cubic_of(place, i), cubic_of(place, i + 1), cubic_of(at, i)
     for n in range(first, last):
         end, before = row[n] - i, t[n]
-        x = on_column(cubic(place[i], before))
-        s = on_column(cubic(place[i + 1], before)) - x
+        x = on_column(cubic(here, before))
+        s = on_column(cubic(further, before)) - x
         if np.isnan(own[n]):  # on the ground: over its own triangle
             x = on_column(col[n] - s * end)
-            before = cubic(at[i], x)
+            before = cubic(columns, x)
         c = int(np.floor(x))
         f = x - c
         among = on_column(before * lines)
@@ -117,6 +119,12 @@ def see_points(sheet, strip, i, points):
                     highest = _higher(highest, above[c + 2], below[c + 1], (2.0 - f) / (1.0 + s))
         above_m[n] = highest - itself
         lit[n] = not highest > itself + rounding
+
+
+@compiled
+def cubic_of(rows, i):
+    """A row's cubic (4,), as numbers."""
+    return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
 
 
 @compiled

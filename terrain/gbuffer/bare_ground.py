@@ -126,8 +126,8 @@ def _smooth_ground(
     rows, cols = height.shape[0] - 2 * reach, height.shape[1] - 2 * reach
     points = np.empty((side, 3, height.shape[1]))  # of the rows round the one that is worked on
     whole = np.empty(side, np.bool_)  # which of these have all their points
-    normal, share = np.zeros((rows, cols, 3), np.float32), np.zeros((rows, cols), np.float32)
-    up = np.zeros((rows, cols, 3), np.float32)
+    normal, share = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols), np.float32)
+    up = np.empty((rows, cols, 3), np.float32)
     there = np.empty((rows, cols), np.bool_)
     own_normal, place = np.empty((3, cols), np.float32), np.empty((2, cols))  # of the row that is worked on
     complete = True
@@ -143,7 +143,8 @@ def _smooth_ground(
         for k in range(side):
             known = known and whole[k]
         if known:
-            there[at] = shown[at + reach, reach : reach + cols]
+            for j in range(cols):
+                there[at, j] = shown[at + reach, reach + j]
             row_complete = _normals_inside(above, here, below, reach, there[at], own_normal)
         else:
             _known_in_row(height, shown, at + reach, reach, there[at])
@@ -317,11 +318,13 @@ def _unit_normal(ax, ay, az, bx, by, bz):
 
 @compiled
 def _put_normals(normal, there, out):
-    """Put a row's normals (3, cols) where there is ground into an array (cols, 3)."""
+    """Put a row's normals (3, cols) where there is ground into an array (cols, 3), zeros elsewhere."""
     nx, ny, nz = normal[0], normal[1], normal[2]
     for j in range(there.size):
         if there[j]:
             out[j, 0], out[j, 1], out[j, 2] = nx[j], ny[j], nz[j]
+        else:
+            out[j, 0], out[j, 1], out[j, 2] = 0.0, 0.0, 0.0
 
 
 @compiled

@@ -171,7 +171,12 @@ def _shares(values, there, down, row_weights, right, col_weights, rows, cols):
     """As ``_means`` of bool, where all pixels cover squares alike (``_even``): in whole numbers."""
     out = np.empty((rows, cols), np.float32)
     wide = there.shape[1]
-    most = row_weights.sum() * col_weights.sum()
+    down_weight, right_weight = 0, 0
+    for k in range(row_weights.size):
+        down_weight += row_weights[k]
+    for k in range(col_weights.size):
+        right_weight += col_weights[k]
+    most = down_weight * right_weight
     quotients = np.empty(most + 1, np.float32)  # of all that may be lit in a pixel that shows nothing else than ground
     for n in range(most + 1):
         quotients[n] = np.float64(n) / np.float64(most)

@@ -19,16 +19,16 @@ def map_points(position, height, shown, falls, faces, smooth, row, col, wanted):
     triangle.
     """
     rows, cols = row.size, col.size
-    there = np.zeros((rows, cols), np.bool_)
-    point = np.full((rows, cols, 3), np.nan)
-    level = np.full((rows, cols), np.nan, np.float32)
-    normal = np.full((rows, cols, 3), np.nan, np.float32)
-    shading = np.full((rows, cols, 3), np.nan, np.float32)
-    crease = np.zeros((rows, cols), np.float32)
-    triangle = np.full((rows, cols, 3), -1, np.int32)
+    there = np.empty((rows, cols), np.bool_)
+    point, level = np.empty((rows, cols, 3)), np.empty((rows, cols), np.float32)
+    normal, shading = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols, 3), np.float32)
+    crease, triangle = np.empty((rows, cols), np.float32), np.empty((rows, cols, 3), np.int32)
     found = np.empty((8, 3), np.int64)
     for i in range(rows):
         for j in range(cols):
+            there[i, j], level[i, j], crease[i, j] = False, np.nan, 0.0
+            for k in range(3):
+                point[i, j, k], normal[i, j, k], shading[i, j, k], triangle[i, j, k] = np.nan, np.nan, np.nan, -1
             if not (wanted[i, j] and _nearest_shown(shown, row[i], col[j])):
                 continue
             count = facets_at(faces, falls, row[i], col[j], found)
@@ -59,11 +59,12 @@ def map_lifts(position, falls, faces, smooth, centre, row, col, point, triangle,
     much. NaN on a node that is as good as the raster's own, and beside a crease.
     """
     rows, cols = row.size, col.size
-    out = np.zeros((rows, cols), np.float32)
+    out = np.empty((rows, cols), np.float32)
     up, place, across = np.empty(3), np.empty(3), np.empty(3)
     for i in range(rows):
         for j in range(cols):
             r, c, half = triangle[i, j]
+            out[i, j] = 0.0
             if r < 0:
                 continue
             up_at(point[i, j], centre, up)

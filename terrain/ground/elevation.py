@@ -266,7 +266,7 @@ class Elevation:
         if self.surface == "blocks":
             height, there = cell_heights(values, valid, row - row0, col - col0)
         else:
-            height, there = _bilinear(values, valid, row, col, np.float64(row0), np.float64(col0))
+            height, there = _bilinear(values, valid, bool(valid.all()), row, col, np.float64(row0), np.float64(col0))
         return self._above_water(height), there
 
     def _above_water(self, height_m: np.ndarray) -> np.ndarray:
@@ -404,9 +404,10 @@ def _on_level(row, col, factor, rows, cols):
         _row_on_level(row[i], col[i], factor, rows, cols, out_row[i], out_col[i])
         widen(out_row[i], ends[0], ends[1])
         widen(out_col[i], ends[2], ends[3])
-    found = np.array([[np.inf, -np.inf], [np.inf, -np.inf]])
-    for j in range(row.shape[1]):
-        for axis in range(2):
+    found = np.empty((2, 2))
+    for axis in range(2):
+        found[axis, 0], found[axis, 1] = np.inf, -np.inf
+        for j in range(row.shape[1]):
             found[axis, 0] = min(found[axis, 0], ends[2 * axis, j])
             found[axis, 1] = max(found[axis, 1], ends[2 * axis + 1, j])
     return out_row, out_col, found
@@ -425,16 +426,15 @@ def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
 
 
 @compiled
-def _bilinear(values, valid, row, col, row0, col0):
+def _bilinear(values, valid, whole, row, col, row0, col0):
     """Bilinear heights at (row, col) of a window that begins at (row0, col0), clamped beyond its outer centres; and the nearest
-    cell's validity.
+    cell's validity. ``whole``: all cells are valid.
     """
     rows, cols = values.shape
     out = np.empty(row.shape, np.float32)
     there = np.empty(row.shape, np.bool_)
     corner, nearest = np.empty((2, row.shape[1]), np.int32), np.empty((2, row.shape[1]), np.int32)
     beyond, four = np.empty((2, row.shape[1])), np.empty((4, row.shape[1]), np.float32)
-    whole = valid.all()
     for i in range(row.shape[0]):
         _cells_before(row[i], row0, rows, corner[0], nearest[0], beyond[0])
         _cells_before(col[i], col0, cols, corner[1], nearest[1], beyond[1])

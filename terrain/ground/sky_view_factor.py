@@ -144,9 +144,10 @@ def _sector(aside: int, narrow: np.ndarray) -> np.ndarray:
 def _slopes(height, across_m, down_m):
     """Rise per metre (rows, cols, 2) along rows and from row to row: central differences, one-sided beside holes and at borders."""
     rows, cols = height.shape
-    out = np.zeros((rows, cols, 2))
+    out = np.empty((rows, cols, 2))
     for r in range(rows):
         for c in range(cols):
+            out[r, c, 0], out[r, c, 1] = 0.0, 0.0
             if not np.isfinite(height[r, c]):
                 continue
             west = 1 if c > 0 and np.isfinite(height[r, c - 1]) else 0
