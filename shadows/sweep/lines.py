@@ -30,6 +30,7 @@ import numpy as np
 
 from shadows.sweep.points import cubic, cubic_of, on_column, see_points
 from terrain.compiled import compiled
+from terrain.internal import internal
 
 NO_GROUND_LEVEL = np.float32(-1e30)
 """Level of a line that has met nothing: a number, not infinity, so that it can be interpolated."""
@@ -96,14 +97,14 @@ def sweep_rows(sheet, strip, first, last, shade, lit, points):
             _advance(level[i], level[i + 1], cubic_of(place, i), cubic_of(place, i + 1), lines, cuts, first_cell, held[k], k)
 
 
-@compiled
+@internal
 def _run_along(p, low, high, times):
     """How many places from ``low`` to ``high`` a run may have, so that ``times`` their cubic is straight over it."""
     bend = times * max(abs(2.0 * p[2] + 6.0 * p[3] * low), abs(2.0 * p[2] + 6.0 * p[3] * high))
     return RUN if bend * RUN * RUN <= 8.0 * STRAIGHT else max(int(np.sqrt(8.0 * STRAIGHT / bend)), 2)
 
 
-@compiled
+@internal
 def _class_of(here, further, t, j):
     """Of a line: the column left of it less its cell, and whether it crosses the next column before the next row."""
     x = on_column(cubic(here, t))
@@ -111,7 +112,7 @@ def _class_of(here, further, t, j):
     return 2 * (c - j) + (1 if on_column(cubic(further, t)) > c + 1 else 0)
 
 
-@compiled
+@internal
 def _advance(above, below, here, further, lines, cuts, first_cell, held, k):
     """Take the lines of number ``k`` from before a row to before the next: ``here`` and ``further`` are the cubics of these."""
     cells, cols = held.size, above.size
@@ -145,7 +146,7 @@ def _advance(above, below, here, further, lines, cuts, first_cell, held, k):
         start = end
 
 
-@compiled
+@internal
 def _meet(above, below, cuts, column, held, cell, count, f0, f1, s0, s1, crosses):
     """What a run of ``count`` lines meets from a row on and before the next one, from a ``column`` and a ``cell`` of ``held`` on.
 
@@ -168,7 +169,7 @@ def _meet(above, below, cuts, column, held, cell, count, f0, f1, s0, s1, crosses
             _pass(above, below, column, held, cell, count, row, rising, falling)
 
 
-@compiled
+@internal
 def _steps(ends, count):
     """The first of ``count`` even steps between two ends, and how far each is from the one before, float32."""
     return np.float32(ends[0]), np.float32((ends[1] - ends[0]) / max(count - 1, 1))
@@ -179,7 +180,7 @@ def _steps(ends, count):
 # Places in it are unsigned, or else a negative one would count from its end.
 
 
-@compiled
+@internal
 def _pass(above, below, column, held, cell, count, row, rising, falling):
     """Raise a run of lines to what they meet of one quad each: on its first row and on both of its diagonals."""
     p, dp = _steps(row, count)
@@ -197,7 +198,7 @@ def _pass(above, below, column, held, cell, count, row, rising, falling):
         held[line] = three if three > highest else highest
 
 
-@compiled
+@internal
 def _cross(above, below, column, held, cell, count, row, rising, side, far):
     """Raise a run of lines to what they meet of two quads each: on the first row, on the rising diagonals of both, and between."""
     p, dp = _steps(row, count)
@@ -219,7 +220,7 @@ def _cross(above, below, column, held, cell, count, row, rising, side, far):
         held[line] = four if four > highest else highest
 
 
-@compiled
+@internal
 def _pass_cut(above, below, cuts, held, row, rising, falling):
     """As ``_pass``, on the diagonals that the quads are cut along."""
     count = held.size
@@ -237,7 +238,7 @@ def _pass_cut(above, below, cuts, held, row, rising, falling):
         held[n] = other if other > highest else highest
 
 
-@compiled
+@internal
 def _cross_cut(above, below, cuts, held, row, rising, side, far):
     """As ``_cross``, on the diagonals that the quads are cut along."""
     count = held.size
@@ -258,7 +259,7 @@ def _cross_cut(above, below, cuts, held, row, rising, side, far):
         held[n] = four if four > highest else highest
 
 
-@compiled
+@internal
 def _two(row, a, b, other_row, c, held, cell, count, p, q):
     """Raise a run of levels to what lies between two pairs of nodes: at shares ``p`` of the way from a row's column ``a`` on to its
     column ``b``, and ``q`` to column ``c`` of another row.
@@ -276,7 +277,7 @@ def _two(row, a, b, other_row, c, held, cell, count, p, q):
         held[line] = other if other > highest else highest
 
 
-@compiled
+@internal
 def _nodes(level, place, at, lines, cuts, first_cell, held, peaks, shade, lit, i):
     """The nodes of row ``i + 1``: what shades them from row ``i`` on, exactly, and from before, between the lines."""
     cols, cells = level.shape[1], held.shape[1]
@@ -300,7 +301,7 @@ def _nodes(level, place, at, lines, cuts, first_cell, held, peaks, shade, lit, i
         first = end
 
 
-@compiled
+@internal
 def _remember(level, place, at, lines, first_cell, peaks, i):
     """Raise the peaks between the lines to the nodes of row ``i``."""
     cols, cells = level.shape[1], peaks.shape[2]
@@ -317,7 +318,7 @@ def _remember(level, place, at, lines, first_cell, peaks, i):
         first = end
 
 
-@compiled
+@internal
 def _raise_peaks(row, first, between, peaks, k, cell, count):
     """Remember nodes that stand higher between their lines than what was remembered there."""
     per = 1.0 / max(count - 1, 1)
@@ -330,14 +331,14 @@ def _raise_peaks(row, first, between, peaks, k, cell, count):
         peaks[0, k, c] = level if higher else peaks[0, k, c]
 
 
-@compiled
+@internal
 def _put_shade(seen, shade, i, first, count):
     i = np.uintp(i)
     for n in range(count):
         shade[i, np.uintp(first + n)] = seen[n]
 
 
-@compiled
+@internal
 def _sees(seen, row, lit, i, first, count):
     i = np.uintp(i)
     for n in range(count):
@@ -345,19 +346,19 @@ def _sees(seen, row, lit, i, first, count):
         lit[i, column] = not seen[n] > row[column]
 
 
-@compiled
+@internal
 def _line_of(at, column, lines):
     """Where among the lines a row's node stands, a whole number on a line."""
     return on_column(cubic(at, np.float64(column)) * lines)
 
 
-@compiled
+@internal
 def _aside(place, at, column):
     """How far from the left the ray over a node comes: columns from where it crosses the row before."""
     return column - on_column(cubic(place, cubic(at, np.float64(column))))
 
 
-@compiled
+@internal
 def _run_of_nodes(at, first, last, lines):
     """Where the run of nodes from ``first`` ends whose left lines have one number, and the first one's left line."""
     number = int(np.floor(_line_of(at, first, lines)))
@@ -373,7 +374,7 @@ def _run_of_nodes(at, first, last, lines):
     return high, number
 
 
-@compiled
+@internal
 def _first_from(place, at, t, cols):
     """The first column of a row, borders apart, whose t is no less than one: by ``at`` alone, so that strips share all nodes."""
     column = min(max(int(np.ceil(cubic(place, np.float64(t)))), 1), cols - 1)
@@ -384,7 +385,7 @@ def _first_from(place, at, t, cols):
     return column
 
 
-@compiled
+@internal
 def _see_between(held, k, cell, right, right_cell, peaks, between, count, out):
     """The level of the rays over a run of nodes as far as the row before them, into an array (count,) float32: what the lines of
     number ``k`` from a ``cell`` on hold, those to their right, and the peaks between. ``between``: how far the nodes stand between
@@ -407,7 +408,7 @@ def _see_between(held, k, cell, right, right_cell, peaks, between, count, out):
         out[n] = over if peaked and over > met else met
 
 
-@compiled
+@internal
 def _see_near(above, here, cuts, first, aside, count, out):
     """Raise the levels of the rays over a run of nodes from column ``first`` on to what they meet from the row before on.
 

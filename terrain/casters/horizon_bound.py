@@ -34,6 +34,7 @@ from terrain.geo.world import EARTH_RADIUS_M, World
 from terrain.ground.elevation import Elevation
 from terrain.ground.extremes import widen
 from terrain.ground.surface import RefinedWindow, Surface, refined_row
+from terrain.internal import internal
 from terrain.scene import Scene
 
 DISC_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
@@ -410,31 +411,31 @@ def _farthest_rises(reach, out):
         out[k], out[k + 1] = most if np.isfinite(most) else 0.0, -least if np.isfinite(least) else 0.0
 
 
-@compiled
+@internal
 def _count_missing(height_m, missing):
     for j in range(missing.size):
         missing[j] += np.int32(0) if np.isfinite(height_m[j]) else np.int32(1)
 
 
-@compiled
+@internal
 def _differences(a, b, out):
     for j in range(out.size):
         out[j] = a[j] - b[j]
 
 
-@compiled
+@internal
 def _larger(a, b, out):
     for j in range(out.size):
         out[j] = a[j] if (a[j] > b[j]) | np.isnan(b[j]) else b[j]
 
 
-@compiled
+@internal
 def _smaller(a, b, out):
     for j in range(out.size):
         out[j] = a[j] if (a[j] < b[j]) | np.isnan(b[j]) else b[j]
 
 
-@compiled
+@internal
 def _widen_by_sums(most_a, most_b, least_a, least_b, least, most):
     for j in range(least.size):
         high, low = most_a[j] + most_b[j], least_a[j] + least_b[j]
@@ -442,7 +443,7 @@ def _widen_by_sums(most_a, most_b, least_a, least_b, least, most):
         least[j] = low if low < least[j] else least[j]
 
 
-@compiled
+@internal
 def _widen_by_differences(most_a, most_b, least_a, least_b, least, most):
     for j in range(least.size):
         high, low = most_a[j] - least_b[j], least_a[j] - most_b[j]

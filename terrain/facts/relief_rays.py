@@ -93,7 +93,8 @@ def _hidden(world: World, elevation: Elevation, at: OverviewProbes, beside: np.n
     rise = dot(along, at.up)
     bend = 0.0 if world.flat else 1.0 / (2.0 * EARTH_RADIUS_M)
     return _blocked(
-        heights, tops, tops.max(), SKIP_BLOCK_CELLS, at.row + dot(beside, at.row_from_frame), at.col + dot(beside, at.col_from_frame),
+        heights, tops, tops.max(), SKIP_BLOCK_CELLS,
+        at.row + dot(beside, at.row_from_frame), at.col + dot(beside, at.col_from_frame),
         at.height_m + dot(beside, at.up), dot(along, at.row_from_frame), dot(along, at.col_from_frame), rise,
         bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), NEAREST_CELLS,
     )  # fmt: skip

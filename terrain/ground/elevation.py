@@ -34,6 +34,7 @@ from terrain.ground.extremes import widen
 from terrain.ground.georeference import crs_of
 from terrain.ground.open_raster import dataset_of_heights
 from terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
+from terrain.internal import internal
 from terrain.level.bundled import BUNDLED
 from terrain.level.gdal_guard import cap_caches
 from terrain.level.parts import METRES_PER_UNIT, GroundSurface, Units
@@ -416,7 +417,7 @@ def _on_level(row, col, factor, rows, cols):
 # The next loops are written so that they compile to vector instructions. What is NaN is neither less nor greater.
 
 
-@compiled
+@internal
 def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
     endless = cols == np.inf
     for j in range(out_row.size):
@@ -449,7 +450,7 @@ def _bilinear(values, valid, whole, row, col, row0, col0):
     return out, there
 
 
-@compiled
+@internal
 def _cells_before(at, first, count, before, nearest, beyond):
     """Along an axis of ``count`` cells from ``first`` on: the cell before a place and the nearest one, clamped, and the share of
     the way to the next. Where a place is none that is NaN, and the cells are any.
@@ -463,7 +464,7 @@ def _cells_before(at, first, count, before, nearest, beyond):
         beyond[j] = (inside if place == place else np.nan) - before[j]
 
 
-@compiled
+@internal
 def _look_up(values, row, col, out):
     """The values (4, n) of cells and of those right of them, and of both below."""
     rows, cols = values.shape
@@ -473,7 +474,7 @@ def _look_up(values, row, col, out):
         out[0, j], out[1, j], out[2, j], out[3, j] = values[r, c], values[r, right], values[below, c], values[below, right]
 
 
-@compiled
+@internal
 def _between(north_west, north_east, south_west, south_east, down, across, out):
     """Between four cells; what a place is not beyond plays no part, though it be missing."""
     for j in range(out.size):
