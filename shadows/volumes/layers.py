@@ -14,6 +14,7 @@ from shadows.volumes.edges import Edges, connected_parts
 from shadows.volumes.silhouettes import Silhouette, homogeneous, silhouette
 from terrain.compiled import compiled
 from terrain.errors import InputError
+from terrain.internal import internal
 
 MAX_STENCIL_LAYERS = 255
 """The largest number of layers that a stencil of 8 bits holds."""
@@ -208,7 +209,7 @@ def _steps(seen, edges, times, lune_of_end, leftwards, first, width, lunes):
     return place[:n], step[:n]
 
 
-@compiled
+@internal
 def _height(lune, ahead, up):
     """A lune's number, plus how high a direction is as a share between the poles."""
     return lune + 0.5 + np.arctan2(up, max(ahead, 0.0)) / 3.2

@@ -25,6 +25,7 @@ from terrain.ground.elevation import Elevation
 from terrain.ground.noise import OCTAVE_GAIN, noise_at
 from terrain.ground.surface import map_pixel_m
 from terrain.ground.visible_cells import CellRange, full_cell_range, visible_cells
+from terrain.internal import internal
 from terrain.scene import Scene
 from terrain.shading import daylight_of, night_of
 from terrain.shading_loops import dusk_of
@@ -173,7 +174,7 @@ def _density(noise, threshold):
     return share * share * (3.0 - 2.0 * share)
 
 
-@compiled
+@internal
 def _place(x, y, z, height, layer_m, to_sun, centre, drift):
     """Metres east and north of the anchor where the ray of a point to the sun meets the clouds, before they drifted."""
     ux, uy, uz = x - centre[0], y - centre[1], z - centre[2]

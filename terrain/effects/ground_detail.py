@@ -26,6 +26,7 @@ from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.noise import noise_along
+from terrain.internal import internal
 from terrain.scene import Scene
 from terrain.shading import SHORE_M
 
@@ -171,7 +172,7 @@ def _waves_on(first, last, shown, anchor_from_frame, water_m, eye, pixel, waves,
                 count = 0
 
 
-@compiled
+@internal
 def _add_waves(x, y, wide_m, waves, column, out):
     """Add the waves at places (n,) of a row's columns; the places are changed."""
     along, across, noise = np.empty(x.size), np.empty(x.size), np.empty(x.size)

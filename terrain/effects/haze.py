@@ -42,6 +42,7 @@ from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_pers
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame, geodetic
+from terrain.internal import internal
 from terrain.scene import Scene
 from terrain.shading import daylight_of
 from terrain.shading_loops import shoulder
@@ -290,7 +291,7 @@ def _farthest(position, triangles, eye, inward):
     return np.sqrt(farthest)
 
 
-@compiled
+@internal
 def _farthest_corner(polygon, inward):
     """The largest squared distance of a triangle, cut off by planes one after another (I. Sutherland and G. Hodgman 1974).
 

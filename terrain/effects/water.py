@@ -35,6 +35,7 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.elevation import Elevation
 from terrain.ground.visible_cells import CellRange, block_slices, visible_cells
+from terrain.internal import internal
 from terrain.level.level import SUN
 from terrain.scene import Scene
 from terrain.shading import SHORE_M, daylight_of, exposure_of, in_shade, look_of, night_of, srgb_encoded, water_in
@@ -262,7 +263,7 @@ def _seen_facets(cosine, square):
     return area, deviation * deviation * sine * share / area
 
 
-@compiled
+@internal
 def _sky_in(cosine, square):
     """Of the sky in water under a zenith angle: its Fresnel share, the sine of the altitude it is seen at, the facets' area."""
     area, slope = _seen_facets(cosine, square)

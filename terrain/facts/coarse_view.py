@@ -24,6 +24,7 @@ from terrain.gbuffer.id_buffer import NEAR_M, IdBuffer
 from terrain.gbuffer.picture import buffer_of, solids_in
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.world import LocalFrame
+from terrain.internal import internal
 from terrain.scene import Scene
 
 COARSE_STEP_PX = 8
@@ -150,7 +151,7 @@ def _projected(vertices, eye, rotation, tangents):
     return at, pixel
 
 
-@compiled
+@internal
 def _beyond(a, b, c, tangents, reach, rows, cols):
     """Whether a triangle lies beyond one side of the picture's pyramid as a whole, a share of a pixel wider on all sides."""
     for k in range(2):

@@ -19,6 +19,7 @@ from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of, imag
 from terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
+from terrain.internal import internal
 from terrain.meshes.facets import face_normals
 from terrain.scene import Scene
 from terrain.scene_objects import SceneObjects
@@ -193,7 +194,7 @@ def _crossed(number, away, ground, normals, bend, jump):
     return out
 
 
-@compiled
+@internal
 def _ends(own, other, here, there, ground, normals, bend, jump):
     """Whether something ends between two neighbours: triangles counted from 0 (below: none) at distances along the view's axis."""
     if own == other:
@@ -208,7 +209,7 @@ def _ends(own, other, here, there, ground, normals, bend, jump):
     return n[0] * m[0] + n[1] * m[1] + n[2] * m[2] < bend
 
 
-@compiled
+@internal
 def _kind(triangle, ground, solids):
     if triangle < 0:
         return NO_SURFACE

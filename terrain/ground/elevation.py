@@ -34,6 +34,7 @@ from terrain.ground.extremes import widen
 from terrain.ground.georeference import crs_of
 from terrain.ground.open_raster import dataset_of_heights
 from terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
+from terrain.internal import internal
 from terrain.level.bundled import BUNDLED
 from terrain.level.gdal_guard import cap_caches
 from terrain.level.parts import METRES_PER_UNIT, GroundSurface, Units
@@ -266,7 +267,7 @@ class Elevation:
         if self.surface == "blocks":
             height, there = cell_heights(values, valid, row - row0, col - col0)
         else:
-            height, there = _bilinear(values, valid, row, col, np.float64(row0), np.float64(col0))
+            height, there = _bilinear(values, valid, bool(valid.all()), row, col, np.float64(row0), np.float64(col0))
         return self._above_water(height), there
 
     def _above_water(self, height_m: np.ndarray) -> np.ndarray:
@@ -404,9 +405,10 @@ def _on_level(row, col, factor, rows, cols):
         _row_on_level(row[i], col[i], factor, rows, cols, out_row[i], out_col[i])
         widen(out_row[i], ends[0], ends[1])
         widen(out_col[i], ends[2], ends[3])
-    found = np.array([[np.inf, -np.inf], [np.inf, -np.inf]])
-    for j in range(row.shape[1]):
-        for axis in range(2):
+    found = np.empty((2, 2))
+    for axis in range(2):
+        found[axis, 0], found[axis, 1] = np.inf, -np.inf
+        for j in range(row.shape[1]):
             found[axis, 0] = min(found[axis, 0], ends[2 * axis, j])
             found[axis, 1] = max(found[axis, 1], ends[2 * axis + 1, j])
     return out_row, out_col, found
@@ -415,7 +417,7 @@ def _on_level(row, col, factor, rows, cols):
 # The next loops are written so that they compile to vector instructions. What is NaN is neither less nor greater.
 
 
-@compiled
+@internal
 def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
     endless = cols == np.inf
     for j in range(out_row.size):
@@ -425,16 +427,15 @@ def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
 
 
 @compiled
-def _bilinear(values, valid, row, col, row0, col0):
+def _bilinear(values, valid, whole, row, col, row0, col0):
     """Bilinear heights at (row, col) of a window that begins at (row0, col0), clamped beyond its outer centres; and the nearest
-    cell's validity.
+    cell's validity. ``whole``: all cells are valid.
     """
     rows, cols = values.shape
     out = np.empty(row.shape, np.float32)
     there = np.empty(row.shape, np.bool_)
     corner, nearest = np.empty((2, row.shape[1]), np.int32), np.empty((2, row.shape[1]), np.int32)
     beyond, four = np.empty((2, row.shape[1])), np.empty((4, row.shape[1]), np.float32)
-    whole = valid.all()
     for i in range(row.shape[0]):
         _cells_before(row[i], row0, rows, corner[0], nearest[0], beyond[0])
         _cells_before(col[i], col0, cols, corner[1], nearest[1], beyond[1])
@@ -449,7 +450,7 @@ def _bilinear(values, valid, row, col, row0, col0):
     return out, there
 
 
-@compiled
+@internal
 def _cells_before(at, first, count, before, nearest, beyond):
     """Along an axis of ``count`` cells from ``first`` on: the cell before a place and the nearest one, clamped, and the share of
     the way to the next. Where a place is none that is NaN, and the cells are any.
@@ -463,7 +464,7 @@ def _cells_before(at, first, count, before, nearest, beyond):
         beyond[j] = (inside if place == place else np.nan) - before[j]
 
 
-@compiled
+@internal
 def _look_up(values, row, col, out):
     """The values (4, n) of cells and of those right of them, and of both below."""
     rows, cols = values.shape
@@ -473,7 +474,7 @@ def _look_up(values, row, col, out):
         out[0, j], out[1, j], out[2, j], out[3, j] = values[r, c], values[r, right], values[below, c], values[below, right]
 
 
-@compiled
+@internal
 def _between(north_west, north_east, south_west, south_east, down, across, out):
     """Between four cells; what a place is not beyond plays no part, though it be missing."""
     for j in range(out.size):
