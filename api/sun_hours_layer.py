@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from api.color_scale import ColorScale
-from api.sun_hours import QUANTITIES
+from api.sun_quantities import QUANTITIES
 from shadows.plan import Plan
 from shadows.sun_hours.sun_hours import SunRules, sun_hours
 from shadows.sun_hours.suns import window_suns

@@ -11,7 +11,8 @@ from api.cli.shading import SUFFIXES
 from api.cli.times import duration_of
 from api.cli.warnings import say_warnings
 from api.shade import Bounds, raster_view
-from api.sun_hours import QUANTITIES, write_sun_hours
+from api.sun_hours import write_sun_hours
+from api.sun_quantities import QUANTITIES
 from shadows.sun_hours.sun_hours import SunRules
 from terrain.errors import InputError
 from terrain.geo.clock import clock_named, date_of

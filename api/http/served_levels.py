@@ -25,10 +25,11 @@ from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError
 from terrain.geo.sun import Sun, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 from terrain.level.data_roots import DataRoots
-from terrain.level.level import LEVEL_SUFFIXES, SUN, LoadedLevel, expand_override, lights_named, load_level
+from terrain.level.level import SUN, LoadedLevel, expand_override, lights_named, load_level
 from terrain.level.level_source import LevelSource
 from terrain.level.linked_files import is_remote
 from terrain.level.parts import SunSpec
+from terrain.level.rasters import LEVEL_SUFFIXES
 from terrain.scene import Scene, build_scene, with_own_sun
 from terrain.style import STYLES
 

@@ -159,8 +159,10 @@ class OpenLevel:
         like: Path | None = None,
         **shadows: Any,
     ) -> np.ndarray:
-        """A raster of shade on the level's own cells, those of ``like``, or square ones of a ``resolution`` in ``crs``: one of
-        ``api.shade.SHADE_LAYERS``, (rows, cols), or (rows, cols, 4) of ``color`` and ``shadow``. The sun is as in ``render``.
+        """A raster of shade on the level's own cells, those of ``like``, or square ones of a ``resolution`` in ``crs``.
+
+        It is one of ``api.shade_layers.SHADE_LAYERS``: (rows, cols), or (rows, cols, 4) of ``color`` and ``shadow``. The sun is as
+        in ``render``.
 
         Raises ``SkuggaError``.
         """

@@ -40,7 +40,7 @@ from terrain.level.parts import (
     time_of,
 )
 from terrain.level.pin_scope import PinScope, never_taken
-from terrain.level.rasters import is_raster
+from terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
 from terrain.level.setting import Requests
 
 EffectName = Literal[
@@ -417,19 +417,11 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
         raise InputError(name, value, detail["msg"].removeprefix("Input should be ")) from None
 
 
-LEVEL_SUFFIXES = ".yaml", ".yml"
-"""Of level files."""
-
 TEXT_SUFFIXES = (*LEVEL_SUFFIXES, ".json", ".txt", "")
 """Of files whose text is looked at closely: of another, what is wrong with it as YAML means nothing."""
 
 _NEITHER = "neither a level file nor a raster that GDAL reads"
 _EITHER = "a raster of heights, or a YAML file that starts with 'version: 1'"
-
-
-def is_level_raster(path: Path) -> bool:
-    """Whether a file is no level file but a raster, which is a level by itself."""
-    return path.suffix.lower() not in LEVEL_SUFFIXES and is_raster(path)
 
 
 def load_level(source: Path | str | LevelSource) -> LoadedLevel:
