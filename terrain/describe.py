@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from terrain.cache import MIB, cached
 from terrain.casters.clip_space import bend_px
@@ -199,6 +198,8 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
 @cached("scene", MIB)
 def _block_relief_m(elevation: Elevation, block_m: float, metres_per_unit: float) -> float:
     """The largest range of heights within a block's side anywhere on the level, from the overview."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
     overview = elevation.overview
     cell_m = elevation.cell_size_m(metres_per_unit) * 2**overview.level
     size = [int(np.clip(np.ceil(block_m / cell_m) + 1, 1, n)) for n in overview.heights_m.shape]

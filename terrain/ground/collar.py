@@ -23,7 +23,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import label
 
 from terrain.ground.elevation import Elevation
 
@@ -122,6 +121,8 @@ def collar_of(elevation: Elevation) -> Collar | None:
 
 def _candidates(seen: _Cells) -> Iterator[tuple[np.generic, _Region]]:
     """The commonest values of the border, with their cells that hang together with it."""
+    from scipy.ndimage import label
+
     border = seen.border(seen.values)[seen.border(seen.known)]
     values, count = np.unique(border, return_counts=True)
     for index in np.argsort(count)[::-1][:_CANDIDATES]:
