@@ -7,9 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from selector.select import plan_of_view
 from terrain.errors import InputError, UnsupportedError, all_at_once
-from terrain.gbuffer.picture import imagery_of
 from terrain.level.level import load_level
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
@@ -19,14 +17,13 @@ from terrain.scene import Scene, build_scene
 
 def summary(source: Path | LevelSource) -> dict[str, Any]:
     """Name, title, bounds in degrees (``None`` in a flat world) and views of a level. Raises ``SkuggaError``."""
-    scene = build_scene(load_level(source))
-    level = scene.loaded.level
-    return {
-        "name": scene.loaded.name,
-        "title": level.title,
-        "bounds": scene.bounds_lon_lat,
-        "views": list(level.views),
-    }
+    loaded = load_level(source)
+    bounds = None
+    if loaded.level.terrain.source is not None:  # ground that is made is a flat world, and takes a second to make
+        scene = build_scene(loaded.without_sun)
+        bounds = scene.bounds_lon_lat
+        scene.close()
+    return {"name": loaded.name, "title": loaded.level.title, "bounds": bounds, "views": list(loaded.level.views)}
 
 
 def remarks(source: Path | LevelSource) -> list[str]:
@@ -35,6 +32,8 @@ def remarks(source: Path | LevelSource) -> list[str]:
 
     Raises ``SkuggaError``: of what is read and placed for all at once.
     """
+    from selector.select import plan_of_view
+
     scene = build_scene(load_level(source))
     objects, is_generated = scene.objects, scene.loaded.level.terrain.source is None
     _read_all(scene)
@@ -85,6 +84,8 @@ def _planned(scene: Scene) -> Iterator[tuple[str, Scene]]:
 
 def _read_all(scene: Scene) -> None:
     """Place a level's views and read the files that it names. Raises one ``InputError`` for all that is wrong with them."""
+    from terrain.gbuffer.picture import imagery_of
+
     objects = scene.objects
     wrong: list[InputError] = []
     reads: list[Callable[[], object]] = [partial(scene.view, name) for name in scene.loaded.level.views]

@@ -278,10 +278,9 @@ class ServedLevels:
             if settings.fit == "tight":
                 allowed = "auto or stable in a served level: tiles with a tight fit do not join"
                 raise LevelError(f"{path}: {key}.fit", "tight", allowed)
-        # Without its sun: a time needs the sun's library, which the service may never need.
         files = watched_files(loaded)
         stamps = file_stamps(files)  # before they are read: what changes meanwhile is seen at the next look
-        scene = build_scene(loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": "none"})}))
+        scene = build_scene(loaded.without_sun)
         try:
             return _served(with_own_sun(loaded, scene.world, scene.elevation), origin, scene, files, stamps)
         finally:

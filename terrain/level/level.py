@@ -272,6 +272,11 @@ class LoadedLevel(BaseModel):
         return source or "" if source is None or source in BUNDLED else self.resolve(source)
 
     @property
+    def without_sun(self) -> LoadedLevel:
+        """The same level without a sun, to place which a time needs a library that takes most of a second to import."""
+        return self.model_copy(update={"level": self.level.model_copy(update={"sun": "none"})})
+
+    @property
     def sources(self) -> tuple[str, ...]:
         """All files that the level names, relative to nothing."""
         from terrain.level.bundled import BUNDLED

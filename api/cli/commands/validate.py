@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 @takes_level
 def validate(level: LevelSource) -> None:
     """Check a level file and the data it names."""
-    from api.level_summary import remarks, summary
+    from api.level_summary import remarks
+    from terrain.level.level import load_level
 
-    row, notes = summary(level), remarks(level)
-    typer.echo(printable(f"{level.path}: right. {row['title'] or row['name']}; views: {', '.join(row['views'])}"))
+    loaded, notes = load_level(level), remarks(level)
+    typer.echo(printable(f"{level.path}: right. {loaded.level.title or loaded.name}; views: {', '.join(loaded.level.views)}"))
     for remark in notes:
         typer.echo(printable(f"  note: {remark}"))
