@@ -15,7 +15,7 @@ NPM := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --no-audit --no-
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long test-browser test-clients test-soak test-lowest lock hunt check notebook viewer viewer-if-possible chromium qgis nginx clean
+.PHONY: help setup run test test-long test-browser test-clients test-soak test-lowest lock hunt check notebook wheel viewer viewer-if-possible chromium qgis nginx clean
 .DELETE_ON_ERROR:
 
 help:
@@ -31,6 +31,7 @@ help:
 	@echo "make check         ruff and mypy"
 	@echo "make notebook      run examples/a_winters_day.py into docs/a-winters-day.ipynb; look at it"
 	@echo "make viewer        build the viewer into api/static/"
+	@echo "make wheel         build a wheel with the viewer and compiled loops into dist/"
 	@echo "make clean         remove everything that make has made"
 
 setup: $(INSTALLED) $(SYSTEM)
@@ -91,6 +92,10 @@ notebook: setup
 	$(VENV)/bin/python -m pip install -qq -c requirements.lock -e '.[docs]'
 	$(VENV)/bin/jupytext -q --to ipynb -o docs/a-winters-day.ipynb examples/a_winters_day.py
 	$(VENV)/bin/jupyter execute --inplace docs/a-winters-day.ipynb
+
+# For one version of Python, numba and NumPy, and any processor of x86-64-v3; others compile, as a clone does.
+wheel: setup viewer
+	$(VENV)/bin/python scripts/make_wheel.py $(ARGS)
 
 viewer: $(VIEWER)
 

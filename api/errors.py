@@ -6,6 +6,7 @@ Nothing below ``api`` knows a status, and nothing in ``api`` maps an error anywh
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from terrain.errors import (
     BusyError,
@@ -54,7 +55,11 @@ class BrokenShardError(RenderError):
 
 
 class NotReadyError(BusyError):
-    """No render process has warmed up yet."""
+    """No render process has warmed up yet; ``preparing`` is what it does: ``task`` in words, steps ``done``, and ``total``."""
+
+    def __init__(self, message: str, preparing: dict[str, Any] | None = None) -> None:
+        self.preparing = preparing
+        super().__init__(message)
 
 
 class LaterError(BusyError):

@@ -17,6 +17,9 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from api.settings import cores
+from terrain.compiling.ahead import PRODUCTS, compile_ahead
+from terrain.compiling.loop_cache import loop_store
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
@@ -28,6 +31,12 @@ settings.register_profile("skugga", deadline=None, derandomize=True)
 settings.load_profile("skugga")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile all loops in parallel before the first test of a run in several processes, which would compile the same ones."""
+    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        compile_ahead(PRODUCTS, cores())
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -57,11 +66,12 @@ def _no_gl_error_left() -> Iterator[None]:
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Iterator[None]:
     """Caches of the machine, its calibration among them, must not reach a test, nor a service that many tests share, which must not
-    calibrate it either. What is compiled stays from run to run: Mesa's shaders in pytest's cache, loops where numba has them.
+    calibrate it either. What is compiled stays from run to run: Mesa's shaders in pytest's cache, loops in the user's store.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SKUGGA_CALIBRATE_WHEN_IDLE", "false")
         patch.setenv("SKUGGA_PROBE_WHEN_IDLE", "false")
+        patch.setenv("NUMBA_CACHE_DIR", str(loop_store().folder))
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
         patch.setenv("MESA_SHADER_CACHE_DIR", str(pytestconfig.cache.mkdir("shaders")))
         yield
@@ -70,15 +80,11 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Co
 @pytest.fixture(scope="session", autouse=True)
 def _forked_render_processes(_own_cache: None, pytestconfig: pytest.Config) -> Iterator[None]:
     """Render processes of services in the tests' own process are forked from one that has imported what they need, which takes
-    seconds, and has no OpenGL; ``prepared_before`` says what else they save. Services in processes of their own, of
-    ``tests/api/http/test_serve.py``, spawn them as users do.
+    seconds, and has no OpenGL. Services in processes of their own, of ``tests/api/http/test_serve.py``, spawn them as users do.
     """
     with pytest.MonkeyPatch.context() as patch:
         forkserver = get_context("forkserver")
-        forkserver.set_forkserver_preload(
-            ["tests.api.workers.fake_workers", "api.workers.warm_up", "tests.api.workers.prepared_before"]
-        )
-        patch.setenv("TESTS_STAMPS", str(pytestconfig.cache.mkdir("prepared")))
+        forkserver.set_forkserver_preload(["tests.api.workers.fake_workers", "api.workers.warm_up"])
         for name in ("api.workers.worker_process", "api.workers.idle_work"):
             if module := sys.modules.get(name):
                 patch.setattr(module, "get_context", lambda method: forkserver)

@@ -114,10 +114,10 @@ def _drawing() -> Finding:
 
 def _compiled_loops() -> Finding:
     """After a drawing, which compiles some."""
-    from terrain.compiled import why_not_kept
+    from terrain.compiling.loop_cache import loop_store
 
-    reason = why_not_kept()
-    return Finding("compiled loops", reason is None, reason or "kept for the next process")
+    store = loop_store()
+    return Finding("compiled loops", store.problem is None, store.problem or f"stored in {store.folder}")
 
 
 def _viewer() -> Finding:

@@ -14,7 +14,7 @@ import typer
 
 from api.cli.outputs import check_targets
 from api.cli.progress import LinesOverBar
-from api.cli.snapshot import Appearance, check_seconds
+from api.cli.snapshot import Appearance, check_seconds, need_for_view
 from api.cli.warnings import say_own_sun, say_warnings
 from api.device_calibration import calibration_for
 from api.film_files import check_film_path, film_files, write_film
@@ -76,7 +76,9 @@ def render_film(
     span = film_span(options.start, options.end, options.step, fps, path, seconds)
     if sun is not None and span.start is not None:
         raise InputError("--time", "given", "one way to say when: --from is there already")
-    scene = build_scene(load_level(level)).with_sun(sun)
+    loaded = load_level(level)
+    need_for_view(loaded, view)
+    scene = build_scene(loaded).with_sun(sun)
     try:
         say_warnings(scene)
         if sun is None and span.start is None:

@@ -39,6 +39,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "overviews:raster_overviews",
         "Make overviews of a big raster beside it, in RASTER.ovr; the raster itself is only read.",
     ),
+    "compile": (
+        "compile:compile_loops",
+        "Compile all loops ahead, for this user and processor, so that no later command waits for it.",
+    ),
     "doctor": ("doctor:doctor", "Check OpenGL and packages of this machine, and name what is missing."),
 }
 """Command -> its function (module of ``api.cli.commands``, name) and its help, which is the function's docstring."""

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -16,7 +16,7 @@ import typer
 
 from api.cli.lazy_commands import CommandGroup
 from api.errors import exit_status
-from api.import_hooks import call_after_import
+from terrain.compiling.hooks import compiled_by
 from terrain.errors import InputError, SkuggaError, printable
 from terrain.level.gdal_guard import cap_caches, forbid_code
 
@@ -55,11 +55,7 @@ def main() -> None:
     forbid_code()
     cap_caches()
     try:
-        with _ended_in_order(), ExitStack() as hooks:
-            # Not before a command needs compiled loops: what tells of compiling them imports the compiler.
-            hooks.callback(
-                call_after_import("terrain.compiled", lambda loops: hooks.enter_context(loops.told_of_compiling(_say_compiling)))
-            )
+        with _ended_in_order(), compiled_by(_compile_products):
             status = app(sys.argv[1:] or ["--help"], prog_name="skugga", standalone_mode=False)
     except _UsageError as error:
         status = _fail(error.format_message(), 2)
@@ -80,9 +76,10 @@ def main() -> None:
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _say_compiling() -> None:
-    if sys.stderr.isatty():
-        typer.echo("skugga: compiling loops, once for this installation: some minutes", err=True)
+def _compile_products(products: Sequence[str]) -> None:
+    from api.cli.compiling import compile_for_command
+
+    compile_for_command(products)
 
 
 @contextmanager

@@ -30,6 +30,8 @@ from api.point.report import (
 )
 from api.point.track import PointAnswerRow, TrackPoint, read_points, read_track, sun_at_points, with_arrivals
 from shadows.point.horizon import Surroundings, horizon_round
+from terrain.compiling.ahead import POINTS
+from terrain.compiling.hooks import need
 from terrain.errors import InputError
 from terrain.geo.clock import date_of
 from terrain.level.level import load_level, parse_sun
@@ -96,6 +98,7 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
         raise InputError("--picture", str(options.picture), " or ".join(PICTURE_SUFFIXES))
     check_targets(level, [("--output", options.output), ("--picture", options.picture)])
     query, crs = _query(options, *_pair(options.at or "")), _crs(options.crs)
+    need(POINTS)
     scene = build_scene(load_level(level)).with_sun(options.sun)
     say_warnings(scene)
     try:
@@ -134,6 +137,7 @@ def report_line(level: LevelSource, file: Path, options: PointOptions, start: st
 def _report_many(level: LevelSource, points: list[TrackPoint], options: PointOptions) -> None:
     if not points:
         raise InputError("--points", "no points", "at least one")
+    need(POINTS)
     scene = build_scene(load_level(level)).with_sun(options.sun)
     say_warnings(scene)
     try:

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 
+Advance = Callable[[int, int], None]
+"""Called with how many blocks, or other parts, are done, and of how many."""
+
+
 @contextmanager
 def spinner(task: str) -> Iterator[None]:
     """Show a sign of life on a terminal, for work that does not tell how far it is."""
@@ -34,7 +38,7 @@ class ProgressBar:
         self._title = task
         self._bar: tuple[Progress, TaskID] | None = None
 
-    def __enter__(self) -> Callable[[int, int], None]:
+    def __enter__(self) -> Advance:
         return self._advance
 
     def __exit__(self, *_: object) -> None:

@@ -12,10 +12,12 @@ from api.device_calibration import calibration_for
 from selector.select import plan_of_view
 from shadows.passes import PassLayer
 from shadows.render import Frame, render_frame
+from terrain.compiling.ahead import MAPS_OF_CASTERS, PICTURES, VIEWS
+from terrain.compiling.hooks import need
 from terrain.errors import InputError
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.level.level import load_level
+from terrain.level.level import LoadedLevel, load_level
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
@@ -68,9 +70,20 @@ def scene_and_view(
 ) -> tuple[Scene, MapView | PerspectiveView]:
     """A level's scene under a sun, at a second of its clock, and one of its views. Raises ``SkuggaError``."""
     check_seconds(seconds)
-    scene = build_scene(load_level(level)).with_sun(sun).at_second(seconds)
+    loaded = load_level(level)
+    need_for_view(loaded, view)
+    scene = build_scene(loaded).with_sun(sun).at_second(seconds)
     say_warnings(scene)
     return scene, scene.view(view, bounds, crs, size)
+
+
+def need_for_view(loaded: LoadedLevel, view: str) -> None:
+    """Declare which loops a picture of a level's view needs."""
+    named = loaded.level.views.get(view)
+    if named is not None and named.kind == "perspective":
+        need(VIEWS)
+    else:
+        need(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else PICTURES)
 
 
 def check_seconds(seconds: float | None) -> None:

@@ -14,6 +14,8 @@ from api.shade import Bounds, raster_view
 from api.sun_hours import write_sun_hours
 from api.sun_quantities import QUANTITIES
 from shadows.sun_hours.sun_hours import SunRules
+from terrain.compiling.ahead import SUN_HOURS
+from terrain.compiling.hooks import need
 from terrain.errors import InputError
 from terrain.geo.clock import clock_named, date_of
 from terrain.geo.daily_windows import readings_of, windows_asked
@@ -47,6 +49,7 @@ def write_sun_level(
     every = duration_of("every", dates[2])
     if every % timedelta(days=1):
         raise InputError("every", dates[2], "whole days, as 7d")
+    need(SUN_HOURS)
     scene = build_scene(load_level(level))
     say_warnings(scene)
     try:

@@ -34,7 +34,7 @@ from api.http.answers import EXPOSED_HEADERS, VERSION
 from api.http.bearer_token import BearerToken
 from api.http.cross_origin import CrossOrigin
 from api.http.encoded_tiles import EncodedTiles, SentBefore
-from api.http.first_pictures import served_pictures
+from api.http.first_blocks import first_blocks
 from api.http.metrics import ServiceMetrics
 from api.http.new_suns import NewSuns
 from api.http.openapi import install_openapi
@@ -75,7 +75,7 @@ def create_app(
     of_tiles = ServedArchives(archives, settings.level_check_s, settings.level_timeout_s)
     for level in named:
         of_tiles.check_level(level)
-    pool = Pool(settings, worker_target, lambda: served_pictures(served), measure, probe)
+    pool = Pool(settings, worker_target, lambda: first_blocks(served), measure, probe)
     tiles = EncodedTiles(settings.tile_cache_bytes)
 
     async def level_now(name: str) -> LevelKey:

@@ -25,7 +25,9 @@ log = logging.getLogger("skugga")
 
 
 class Problem(BaseModel):
-    """A problem document. ``code`` is stable; ``parameter`` is there where one parameter is to blame."""
+    """A problem document. ``code`` is stable; ``parameter`` is there where one parameter is to blame, and ``preparing`` before a
+    service is ready: the ``task`` in words, steps ``done``, and ``total`` (0 while unknown).
+    """
 
     model_config = ConfigDict(frozen=True)
 
@@ -35,6 +37,7 @@ class Problem(BaseModel):
     detail: str
     code: str
     parameter: str | None = None
+    preparing: dict[str, Any] | None = None
 
 
 OF_HTTP: dict[int, tuple[str, str]] = {
@@ -103,7 +106,8 @@ def public_problem(error: SkuggaError) -> Problem:
     outcome = outcome_of(error)
     # An error that is not the client's blames none of his parameters: its name would be the operator's file.
     parameter = getattr(error, "name", None) if outcome.public is None else None
-    return problem_of(outcome.status, outcome.public or str(error), outcome.code, parameter)
+    problem = problem_of(outcome.status, outcome.public or str(error), outcome.code, parameter)
+    return problem.model_copy(update={"preparing": getattr(error, "preparing", None)})
 
 
 def domain_problem(request: Request, error: SkuggaError) -> JSONResponse:

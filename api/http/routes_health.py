@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from fastapi import APIRouter, Depends
@@ -32,10 +33,14 @@ async def readyz(service: TheService) -> JSONResponse:
     `calibrated`; `waiting` (for an idle service), `running`, `paused`; `failed`, `off`, `none` (no device to calibrate).
     `probes_waiting` is how many levels, each under a class of suns, are still to be probed while nothing is drawn. Where archives
     of tiles are served alone nothing is drawn, and the service is ready at once.
+
+    `preparing` is what is compiled, with the numbers of loops `done` and in `total` (0 while unknown); `null` where nothing is
+    left. Before the service is ready tiles wait for it; after that it is what no request has needed yet.
     """
     pool = service.pool
+    preparing = None if pool.preparing is None else asdict(pool.preparing)
     if service.draws and not pool.ready:
-        raise NotReadyError("No render process is ready; the service's log says why if this lasts.")
+        raise NotReadyError("No render process is ready; the service's log says why if this lasts.", preparing)
     return JSONResponse(
         {
             "status": "ready",
@@ -44,6 +49,7 @@ async def readyz(service: TheService) -> JSONResponse:
             "queued": pool.queued,
             "calibration": pool.calibrating.state,
             "probes_waiting": pool.probing.waiting,
+            "preparing": preparing,
         },
         headers=_UNCACHED,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from api.import_hooks import call_after_import
+from api.library.import_hooks import call_after_import
 
 if TYPE_CHECKING:
     import xarray

@@ -16,6 +16,8 @@ from api.seed.storage import ShardStore
 from api.workers.block_tiles import BLOCK_TILES, TILE_PX, cut_tiles, empty_tile, encoded_part
 from api.workers.drawn_blocks import block_of_grid, drawn_block, grid_of_zoom
 from api.workers.map_jobs import heights_picture
+from terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS
+from terrain.compiling.hooks import need
 from terrain.errors import InputError
 from terrain.gbuffer.bare_ground import forget_ground_before
 from terrain.level.level import load_level
@@ -30,7 +32,9 @@ class Drawer:
 
     def __init__(self, spec: RunSpec, store: ShardStore) -> None:
         self._spec, self._store = spec, store
-        self._scene = build_scene(load_level(spec.level))
+        loaded = load_level(spec.level)
+        need(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else MAPS)
+        self._scene = build_scene(loaded)
         self._under = {number: self._scene.with_sun(sun) for number, sun in enumerate(spec.suns)}
 
     def draw(self, task: Task) -> Drawn:

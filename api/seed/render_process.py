@@ -20,6 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 from api.seed.messages import Begin, Begun, Drawn, NotBegun, NotDrawn, Task
 from api.seed.storage import store_at
+from api.settings import cores
+from terrain.compiling.ahead import compile_ahead
+from terrain.compiling.hooks import compiled_by
 from terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.gl.egl_devices import take_turn
 from terrain.level.gdal_guard import forbid_code
@@ -129,7 +132,11 @@ def draw_tasks(descriptor: int, number: int = 0) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the one that started it
     forbid_code()
     take_turn(number)
-    connection = Connection(descriptor)
+    with compiled_by(lambda products: compile_ahead(products, cores())):
+        _draw_until_closed(Connection(descriptor))
+
+
+def _draw_until_closed(connection: Connection) -> None:
     from api.seed.drawing import Drawer  # what draws: here alone, and while nobody waits yet
     from api.seed.run_spec import RunSpec
     from api.workers.warm_up import warm_up

@@ -274,30 +274,33 @@ class Pong:
 
 
 @dataclass(frozen=True)
-class ServedPictures:
-    """A level that a service has, and pictures of it: together they need every loop and shader that pictures of it may need."""
-
-    level: LevelKey
-    pictures: tuple[BlockJob | SnapshotJob, ...]
-
-
-@dataclass(frozen=True)
 class Preparing:
-    """What a render process does before it is ready."""
+    """What a render process does before it is ready, or before a job, and how far it is.
 
-    text: str
+    Attributes
+    ----------
+    task : str
+        In words for people, as "compiling loops for map tiles".
+    done, total : int
+        Steps; ``total`` is 0 while it is unknown.
+    """
+
+    task: str
+    done: int = 0
+    total: int = 0
 
 
 @dataclass(frozen=True)
 class Ready:
     """A render process has warmed up: what it draws with, by OpenGL's names, the calibration that its plans go by, and which of
-    EGL's devices it has.
+    EGL's devices it has. ``missing_loops`` of all recorded ones are stored nowhere yet.
     """
 
     renderer: str
     device: DeviceProfile | None = None
     version: str = ""
     egl_device: str = ""
+    missing_loops: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from api.errors import LaterError, SetAsideError, WorkerCrashError
 from api.settings import Settings, cores
+from api.workers.background_compile import BackgroundCompile
 from api.workers.idle_calibration import IdleCalibration, measured_profile
 from api.workers.idle_probes import IdleProbes, Probe, probed_level
 from api.workers.idle_work import IdleWork
@@ -27,8 +28,8 @@ from api.workers.jobs import (
     Job,
     LevelKey,
     Ping,
+    Preparing,
     Result,
-    ServedPictures,
     Snapshot,
 )
 from api.workers.plan_basis import PlanBasis
@@ -80,8 +81,9 @@ class Pool:
     """Runs jobs in render processes. To be used from one event loop.
 
     Equal jobs at the same time are one job. Finished blocks and snapshots are kept within ``block_cache_bytes``. A process that
-    is started prepares for what is ``served``. A device without a calibration is given one by ``measure`` while nothing is drawn,
-    and levels that maps are drawn of are probed by ``probe``.
+    is idle prepares for the levels of ``first_blocks``. A device without a calibration is given one by ``measure`` while nothing is
+    drawn, and levels that maps are drawn of are probed by ``probe``. Loops that are stored nowhere are compiled in the background
+    once a process is ready; ``preparing`` is how far that is, and before that how far the first process is.
 
     ``basis`` is what plans go by. Another one may take its place at any time: what is begun after that goes by it, in all
     processes, and of what is kept only pictures of its version are found.
@@ -91,12 +93,12 @@ class Pool:
         self,
         settings: Settings,
         target: WorkerTarget = worker_main,
-        served: Callable[[], tuple[ServedPictures, ...]] = tuple,
+        first_blocks: Callable[[], tuple[BlockJob, ...]] = tuple,
         measure: Callable[[], DeviceProfile] = measured_profile,
         probe: Probe = probed_level,
     ) -> None:
         self._settings = settings
-        self._target, self._served = target, served
+        self._target, self._first_blocks = target, first_blocks
         self._config = WorkerConfig(
             gl_threads=max(cores() // settings.workers, 1),
             expect_renderer=settings.expect_renderer,
@@ -118,7 +120,9 @@ class Pool:
         self._starting = 0
         self.renderer: str | None = None
         self.basis: PlanBasis | None = None
-        self.idle = IdleWork(lambda: bool(self.queued or self.running or self._starting), self._config.gl_threads)
+        self.preparing: Preparing | None = Preparing("starting a render process")
+        self.compiling = BackgroundCompile(cores(), self._note_preparing)
+        self.idle = IdleWork(self._is_busy, self._config.gl_threads)
         self.calibrating = IdleCalibration(settings.calibrate_when_idle, self.idle, self._device, self._use, measure)
         self.probing = IdleProbes(settings.probe_when_idle, self.idle, self._device, self._probed, self._use_probed, probe)
         self.pids: set[int] = set()
@@ -153,6 +157,13 @@ class Pool:
 
     def _use_probed(self, found: Mapping[str, str]) -> None:
         self.basis = (self.basis or PlanBasis()).with_probed(found)
+
+    def _is_busy(self) -> bool:
+        """Whether the cores have other work than what waits for idleness."""
+        return bool(self.queued or self.running or self._starting or self.compiling.is_running)
+
+    def _note_preparing(self, preparing: Preparing | None) -> None:
+        self.preparing = preparing
 
     async def settled(self) -> None:
         """Wait until it is known what the first process draws with, or that it cannot be started."""
@@ -194,8 +205,9 @@ class Pool:
         for slot in self._slots:
             slot.cancel()
         await asyncio.gather(
-            self.calibrating.close(), self.probing.close(), self.idle.close(), *self._slots, return_exceptions=True
-        )
+            self.calibrating.close(), self.probing.close(), self.idle.close(), self.compiling.close(), *self._slots,
+            return_exceptions=True,
+        )  # fmt: skip
         self._fail_all(BusyError("The service is shutting down."), list(self._flights.values()))
         self._threads.shutdown(wait=True)
 
@@ -300,11 +312,11 @@ class Pool:
 
     async def _one_process(self, number: int) -> bool:
         """Whether a process was started, and ended in good order or at least after having taken a job."""
-        served = await asyncio.get_running_loop().run_in_executor(self._threads, self._served)
+        first_blocks = await asyncio.get_running_loop().run_in_executor(self._threads, self._first_blocks)
         # OpenGL that was there is waited for: a service does not turn into one that draws less.
         needs_opengl = self.renderer not in (None, NO_OPENGL)
-        config = replace(self._config, served=served, needs_opengl=needs_opengl, basis=self.basis, number=number)
-        worker = WorkerProcess(self._target, config, self._threads, self._news.set)
+        config = replace(self._config, first_blocks=first_blocks, needs_opengl=needs_opengl, basis=self.basis, number=number)
+        worker = WorkerProcess(self._target, config, self._threads, self._news.set, self._note_preparing)
         try:
             return await self._start_and_serve(worker)
         finally:
@@ -330,6 +342,8 @@ class Pool:
         self.pids.add(worker.pid or 0)
         drawn_with = f"{self.renderer}, {ready.egl_device}" if ready.egl_device else self.renderer
         log.info("render process %s ready after %.1f s: %s", worker.pid, took, drawn_with)
+        self.preparing = self.preparing if self.compiling.is_running else None
+        self.compiling.begin(ready.missing_loops)
         self.calibrating.begin(ready.renderer, ready.version)
         self.probing.begin(ready.renderer, ready.version)
         return await self._serve(worker)
@@ -367,7 +381,7 @@ class Pool:
                 log.error("render process %s is replaced: %s", worker.pid, answer.message)
                 self._try_again(flight, answer)
                 return True
-            self._land(flight, answer)
+            self._land(flight, answer, learn=not worker.prepared)
         log.info("render process %s is replaced after %d jobs", worker.pid, self._settings.recycle_blocks)
         return True
 
@@ -416,9 +430,11 @@ class Pool:
             if self._set_aside.seconds_left(flight.job) > 0.0:
                 self._land(flight, _set_aside(flight.job, left_s))
 
-    def _land(self, flight: PendingJob, answer: Answer | SkuggaError) -> None:
+    def _land(self, flight: PendingJob, answer: Answer | SkuggaError, learn: bool = True) -> None:
+        """Answer all who wait. ``learn`` from the time that the job took, unless something was prepared for it, as happens once."""
         if flight.began_s is not None and not isinstance(answer, SkuggaError | Failure):
-            self._queue.expected.learn(flight.job, asyncio.get_running_loop().time() - flight.began_s)
+            if learn:
+                self._queue.expected.learn(flight.job, asyncio.get_running_loop().time() - flight.began_s)
             self._set_aside.succeeded(flight.job)
         self._forget(flight)
         if flight.answer.done():

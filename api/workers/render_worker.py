@@ -9,7 +9,8 @@ import logging
 import os
 import signal
 import time as clock
-from collections.abc import Callable, Hashable
+from collections import deque
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection
@@ -47,7 +48,6 @@ from api.workers.jobs import (
     Preparing,
     Ready,
     Result,
-    ServedPictures,
     Snapshot,
     SnapshotJob,
     SunHoursJob,
@@ -65,10 +65,15 @@ from shadows.plan import Plan
 from shadows.render import Frame, render_frame
 from terrain.cache import MIB, Cache, Missing
 from terrain.casters.slopes import extent_on_grid
-from terrain.compiled import told_of_compiling, why_not_kept
+from terrain.compiled import CORES
+from terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS, compile_ahead
+from terrain.compiling.farm import missing_tasks
+from terrain.compiling.hooks import compiled_by, need
+from terrain.compiling.loop_cache import loop_store
 from terrain.describe import describe
 from terrain.errors import Fault, GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.facts.descriptor import Descriptor
+from terrain.gbuffer.covered_nodes import is_bare
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView
 from terrain.gl import device as gl
@@ -92,7 +97,7 @@ BLOCKS_BYTES = 48 * MIB
 """Bytes of the blocks drawn last, some 5 MiB each, of which other layers or formats may be asked for."""
 
 IDLE_S = 1.0
-"""How long a process that is ready waits for its first job before it reads in what few jobs need."""
+"""How long a process that is ready waits for a job before it prepares for later ones."""
 
 MAX_PROCESS_BYTES = 3 * 2**30
 """Memory of a process beyond which it keeps only the level that it draws; with a software rasteriser it takes about 1.5 GB."""
@@ -102,16 +107,16 @@ log = logging.getLogger("skugga.worker")
 
 @dataclass(frozen=True)
 class WorkerConfig:
-    """What a render process is told at its start. ``gl_threads`` are the threads of a software rasteriser; it prepares for what is
-    ``served``, and refuses pictures that are expected to take more than ``most_ms``. It does not start without OpenGL where it
-    ``needs_opengl``. Without a ``basis`` its plans go by the calibration in the user's cache, until it is told another one. Of
-    several OpenGL devices it takes that whose turn its ``number`` is.
+    """What a render process is told at its start. ``gl_threads`` are the threads of a software rasteriser. While it is idle it
+    prepares for the levels of ``first_blocks``, and it refuses pictures that are expected to take more than ``most_ms``. It does
+    not start without OpenGL where it ``needs_opengl``. Without a ``basis`` its plans go by the calibration in the user's cache,
+    until it is told another one. Of several OpenGL devices it takes that whose turn its ``number`` is.
     """
 
     gl_threads: int
     expect_renderer: str | None = None
     needs_opengl: bool = False
-    served: tuple[ServedPictures, ...] = ()
+    first_blocks: tuple[BlockJob, ...] = ()
     most_ms: float | None = None
     basis: PlanBasis | None = None
     number: int = 0
@@ -140,7 +145,9 @@ class SceneCache:
         entry = self._scenes.get(path)
         if isinstance(entry, Missing) or entry[0] != key.version:
             self._scenes.drop(path)
-            entry = key.version, build_scene(load_level(key))
+            loaded = load_level(key)
+            need(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else MAPS)
+            entry = key.version, build_scene(loaded)
             self._scenes.put(path, value=entry)
         if self._process_bytes() > MAX_PROCESS_BYTES:
             self._scenes.trim(1)
@@ -204,6 +211,7 @@ def run_job(job: Job, state: WorkerState) -> Result:
         return _plan_of_facts(job, state)
     scene = job.request.seen(state.scenes.get(job.level))
     overrides = job.request.overrides.for_selector()
+    need(product_of(job, scene))
     match job:
         case DescriptorJob():
             return DescriptorAnswer(describe(scene, *_seen(scene, job.view)).model_dump_json())
@@ -239,6 +247,20 @@ def run_job(job: Job, state: WorkerState) -> Result:
             return Snapshot(
                 body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame.plan, frame, state, job.level)
             )
+
+
+def product_of(job: Job, scene: Scene) -> str:
+    """Return the product of a job, whose loops are compiled together where one is missing."""
+    match job:
+        case PointJob() | PointsJob():
+            return POINTS
+        case SunHoursJob():
+            return SUN_HOURS
+        case SnapshotJob() | FrameJob() | FilmCheckJob() if isinstance(scene.view(job.view), PerspectiveView):
+            return VIEWS
+        case MapJob() | SnapshotJob() | FrameJob() | FilmCheckJob() if is_bare(scene):
+            return PICTURES
+    return MAPS if is_bare(scene) else MAPS_OF_CASTERS
 
 
 def _plan_of_facts(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:
@@ -347,39 +369,53 @@ def worker_main(pipe: Connection, config: WorkerConfig) -> None:
     stand_back()
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
     take_turn(config.number)
-    from api.workers.preparation import prepare
-    from api.workers.warm_up import read_the_suns_library, warm_up
+    from api.workers.preparation import import_pvlib, prepare_level
+    from api.workers.warm_up import warm_up
+
+    def say(task: str, done: int = 0, total: int = 0) -> None:
+        pipe.send(Preparing(task, done, total))
+
+    def compile_products(products: Sequence[str]) -> None:
+        say(f"compiling loops for {products[0]}")
+        compile_ahead(products, CORES, say)
 
     try:
-
-        def say(text: str) -> None:
-            pipe.send(Preparing(text))
-
-        if reason := why_not_kept():
-            say(reason)
-        with told_of_compiling(lambda: say("first start: compiling loops, which takes some minutes")):
+        with compiled_by(compile_products):
             renderer = warm_up(config.expect_renderer, config.needs_opengl, say)
-        state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.most_ms)
-        prepare(config.served, state, say)
-        pipe.send(Ready(state.renderer, state.device, gl.renderer_and_version()[1], gl.egl_device_name()))
-        if not pipe.poll(IDLE_S):
-            read_the_suns_library()
-        while True:
-            job = pipe.recv()
-            if isinstance(job, Ping):
-                pipe.send(Pong())
-                continue
-            if isinstance(job, PlanBasis):
-                state.basis = job
-                continue
-            answer = _answer(job, state)
-            pipe.send(answer)
-            if isinstance(answer, Failure) and answer.fatal:
-                return
+            if problem := loop_store().problem:
+                say(problem)
+            state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.most_ms)
+            missing = len(missing_tasks(PRODUCTS))
+            pipe.send(Ready(state.renderer, state.device, gl.renderer_and_version()[1], gl.egl_device_name(), missing))
+            # While loops are missing they are compiled in the background, on all cores: that is no idle time.
+            steps = [] if missing else [partial(prepare_level, block, state) for block in config.first_blocks[:MAX_SCENES]]
+            _answer_jobs(pipe, state, [*steps, import_pvlib])
     except SkuggaError as error:
         pipe.send(Failure.of(error, fatal=True))
     except (EOFError, OSError):
         return
+
+
+def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Callable[[], None]]) -> None:
+    """Answer jobs until one ends the process. Do one idle step after the other while none comes.
+
+    Raises ``EOFError`` or ``OSError`` when the pipe is closed.
+    """
+    steps = deque(idle_steps)
+    while True:
+        while steps and not pipe.poll(IDLE_S):
+            steps.popleft()()
+        job = pipe.recv()
+        if isinstance(job, Ping):
+            pipe.send(Pong())
+            continue
+        if isinstance(job, PlanBasis):
+            state.basis = job
+            continue
+        answer = _answer(job, state)
+        pipe.send(answer)
+        if isinstance(answer, Failure) and answer.fatal:
+            return
 
 
 def _answer(job: Job, state: WorkerState) -> Answer:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +13,14 @@ from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 
 from selector.select import plan_of_view
-from shadows.ground_pictures import shown_map
 from shadows.registry import FALLBACK
 from shadows.render import render_frame
+from terrain.compiling.ahead import MAPS
+from terrain.compiling.hooks import need
 from terrain.errors import GraphicsError, NoOpenGLError
 from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
-from terrain.geo.sun import apparent_position
 from terrain.gl import device as gl
 from terrain.level.level import Level, LoadedLevel
-from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
 WARM_UP_CELL_M, CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
@@ -30,11 +28,6 @@ WARM_UP_CELL_M, CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
 
 ZOOM = 12
 """At the equator a pixel is 38 m: the plain is 50 pixels wide, the wall's shadow 520 m long at 30 degrees."""
-
-GROUND_PICTURES = ((ZOOM, 200.0, 30.0), (ZOOM, 100.0, 4.0), (ZOOM - 2, 100.0, 30.0), (ZOOM + 2, 340.0, 30.0))
-"""Zooms, azimuths and altitudes under which the map service's loops differ: the sun along rows and along columns, a low one, coarse
-pixels and magnified ones.
-"""
 
 LOOKED_AT_PX = 64
 """Side of the picture round the wall's middle by which shadows are proven: it shows all of the plain."""
@@ -52,6 +45,7 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, say:
 
     Raises ``GraphicsError`` if OpenGL is missing that is needed or expected, is another renderer than expected, or draws wrongly.
     """
+    need(MAPS)
     renderer, algorithm = gl.NO_OPENGL, "auto"
     try:
         renderer, algorithm = gl.device().renderer, FALLBACK
@@ -67,11 +61,6 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, say:
     return renderer
 
 
-def read_the_suns_library() -> None:
-    """Read in what places the sun by a time: half a second, which only such a request needs."""
-    apparent_position(datetime(2024, 6, 21, 12, tzinfo=UTC), 0.0, 0.0)
-
-
 def _visibility_beside_wall(proven: str) -> tuple[float, float]:
     """Visibility of the plain west (towards the sun) and east of the wall by the algorithm that is ``proven``."""
     heights = np.zeros((CELLS, CELLS), np.float32)
@@ -83,15 +72,11 @@ def _visibility_beside_wall(proven: str) -> tuple[float, float]:
             transform=from_origin(left, top, WARM_UP_CELL_M, WARM_UP_CELL_M),
         ) as dataset:  # fmt: skip
             dataset.write(heights, 1)
-        scene, plain = (_scene(memory.name, algorithm) for algorithm in (proven, "auto"))
+        scene = _scene(memory.name, proven)
         grid, place = _grid_and_middle(scene, ZOOM)
         view = _round(grid, place)
         frame = render_frame(scene, view, plan_of_view(scene, view, policy="rules"))
-        for zoom, azimuth, altitude in GROUND_PICTURES:
-            block, seen = _block(*_grid_and_middle(plain, zoom)), plain.with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
-            shown_map(seen, block, plan_of_view(seen, block, policy="rules"))
         scene.close()
-        plain.close()
     away = BESIDE_M / grid.step
     row, col = place[0] - view.row0, place[1] - view.col0
     row, cols = int(row), (int(np.rint(col - away)), int(np.rint(col + away)))
@@ -115,11 +100,6 @@ def _grid_and_middle(scene: Scene, zoom: int) -> tuple[Grid, tuple[float, float]
     grid = tile_grid(matrix_sets.get("WebMercatorQuad"), zoom)
     x, y = _mercator_m(scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
     return grid, ((grid.y0 - y) / grid.step, (x - grid.x0) / grid.step)
-
-
-def _block(grid: Grid, place: tuple[float, float]) -> MapView:
-    row, col = (index // BLOCK_PX * BLOCK_PX for index in place)
-    return MapView(grid, row, col, 1.0, 1.0, BLOCK_PX, BLOCK_PX)
 
 
 def _round(grid: Grid, place: tuple[float, float]) -> MapView:

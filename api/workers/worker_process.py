@@ -33,18 +33,28 @@ WorkerTarget = Callable[[Connection, WorkerConfig], None]
 class WorkerProcess:
     """A process that runs ``target(pipe, config)``. ``start`` it, ``ask`` it one job at a time, then ``end`` it.
 
-    ``on_death`` is called in the event loop when it ends by itself. ``basis`` is what its plans go by.
+    In the event loop ``on_death`` is called when it ends by itself, and ``on_preparing`` with what it does before it is ready or
+    begins a job. ``basis`` is what its plans go by. ``prepared`` says whether it had to prepare for the job that it did last.
     """
 
-    def __init__(self, target: WorkerTarget, config: WorkerConfig, threads: Executor, on_death: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        target: WorkerTarget,
+        config: WorkerConfig,
+        threads: Executor,
+        on_death: Callable[[], None],
+        on_preparing: Callable[[Preparing], None] = lambda preparing: None,
+    ) -> None:
         spawn = get_context("spawn")
         self._pipe, self._theirs = spawn.Pipe()
         self._process = spawn.Process(target=target, args=(self._theirs, config), name="skugga-render", daemon=True)
-        self._threads, self._on_death = threads, on_death
+        self._threads, self._on_death, self._on_preparing = threads, on_death, on_preparing
+        self._task = ""
         self._in_thread: asyncio.Future[Any] | None = None
         self._watched: int | None = None
         self.basis = config.basis
         self.dead = False
+        self.prepared = False
 
     @property
     def pid(self) -> int | None:
@@ -64,8 +74,7 @@ class WorkerProcess:
         self._watched = self._process.sentinel
         asyncio.get_running_loop().add_reader(self._watched, self._note_death)
         try:
-            while isinstance(answer := await self._heard(self._pipe.recv, timeout_s), Preparing):
-                log.info("render process %s: %s", self.pid, answer.text)
+            answer = await self._answer(self._pipe.recv, timeout_s)
         except TimeoutError:
             raise GraphicsError(f"a render process did not warm up within {timeout_s:g} s") from None
         except (EOFError, OSError):
@@ -80,6 +89,7 @@ class WorkerProcess:
         ``RenderTimeoutError`` the process is of no more use.
         """
         told, self.basis = self.basis, basis or self.basis
+        self.prepared = False
 
         def send_and_receive() -> Answer:
             if self.basis is not told:
@@ -88,7 +98,7 @@ class WorkerProcess:
             return self._pipe.recv()
 
         try:
-            return await self._heard(send_and_receive, timeout_s)
+            return await self._answer(send_and_receive, timeout_s)
         except TimeoutError:
             raise RenderTimeoutError(f"The picture took longer than the {timeout_s:g} s it may take.") from None
         except Exception as error:  # the pipe broke, or brought what cannot be read
@@ -109,6 +119,18 @@ class WorkerProcess:
                 return
         self._pipe.close()
         self._theirs.close()
+
+    async def _answer(self, function: Callable[[], Any], timeout_s: float) -> Any:
+        """Return what follows all that is prepared first; each step of that may take ``timeout_s``. Raises as ``_heard``."""
+        heard = await self._heard(function, timeout_s)
+        while isinstance(heard, Preparing):
+            self.prepared = True
+            if heard.task != self._task:
+                log.info("render process %s: %s", self.pid, heard.task)
+                self._task = heard.task
+            self._on_preparing(heard)
+            heard = await self._heard(self._pipe.recv, timeout_s)
+        return heard
 
     async def _heard(self, function: Callable[[], T], timeout_s: float) -> T:
         """What a function brings from the pipe. Raises ``TimeoutError``, and ``EOFError`` for a process that was stopped."""

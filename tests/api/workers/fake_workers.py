@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Semaphore
@@ -153,12 +154,23 @@ def unable(pipe: Connection, config: WorkerConfig) -> None:
     pipe.send(Failure.of(GraphicsError("libEGL at /secret/place is broken"), fatal=True))
 
 
-def talkative(pipe: Connection, config: WorkerConfig) -> None:
-    """Says what it is told to prepare for before it is ready, and answers nothing."""
-    for level in config.served:
-        pipe.send(Preparing(f"preparing for {level.level.path.stem}"))
-    pipe.send(Ready(RENDERER))
-    signal.pause()
+def compiling(
+    pipe: Connection, config: WorkerConfig, go: Semaphore | None = None, steps: int = 0, step_s: float = 0.0, missing: int = 0
+) -> None:
+    """Compiles before it is ready, until it is let ``go``, and in some steps before each job; some loops stay ``missing``."""
+    pipe.send(Preparing("compiling loops for map tiles", 3, 9))
+    if go is not None:
+        go.acquire()
+    pipe.send(Ready(RENDERER, missing_loops=missing))
+    while True:
+        try:
+            pipe.recv()
+        except EOFError:
+            return
+        for step in range(steps):
+            pipe.send(Preparing("compiling loops for points", step, steps))
+            time.sleep(step_s)
+        pipe.send(_answer("draw"))
 
 
 def stillborn(pipe: Connection, config: WorkerConfig) -> None:

@@ -1,8 +1,8 @@
 import asyncio
 import functools
-import logging
 import os
 import signal
+import threading
 from collections.abc import Awaitable, Callable
 from multiprocessing import get_context
 from pathlib import Path
@@ -11,8 +11,10 @@ import pytest
 
 from api.errors import WorkerCrashError
 from api.settings import Settings
-from api.workers.jobs import BlockJob, LevelKey, PlanAnswer, PlanJob, ServedPictures
+from api.workers import background_compile
+from api.workers.jobs import BlockJob, BlockTiles, LevelKey, PlanAnswer, PlanJob, Preparing
 from api.workers.pool import Pool
+from terrain.compiling.ahead import PRODUCTS
 from terrain.errors import BusyError, GraphicsError, InputError, RenderError, RenderTimeoutError
 from tests.api.workers import fake_workers
 
@@ -87,20 +89,76 @@ def test_answers():
     with_pool(scenario)
 
 
-def test_what_a_process_prepares_for_is_told(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(logging.getLogger("skugga"), "propagate", True)
-    served = ServedPictures(LEVEL, ())
+def test_what_a_process_compiles_before_it_is_ready_is_told(caplog: pytest.LogCaptureFixture):
+    gate = get_context("spawn").Semaphore(0)
 
     async def run() -> None:
-        pool = Pool(Settings(workers=1), fake_workers.talkative, lambda: (served,))
+        pool = Pool(Settings(workers=1), functools.partial(fake_workers.compiling, go=gate))
+        assert pool.preparing == Preparing("starting a render process")
         pool.open()
+        await until(lambda: pool.preparing == Preparing("compiling loops for map tiles", 3, 9))
+        assert not pool.ready
+        gate.release()
         await asyncio.wait_for(pool.settled(), SOON_S)
-        assert pool.ready
+        assert pool.ready and pool.preparing is None
         await pool.close()
 
     with caplog.at_level("INFO", "skugga"):
         asyncio.run(run())
-    assert "preparing for level" in caplog.text
+    assert caplog.text.count("compiling loops for map tiles") == 1
+
+
+def test_a_job_may_be_prepared_for_longer_than_a_picture_may_take():
+    async def run() -> None:
+        pool = Pool(Settings(workers=1, render_timeout_s=1.0), functools.partial(fake_workers.compiling, steps=4, step_s=0.5))
+        pool.open()
+        await pool.settled()
+        expected_s = pool.expected_s(block(1))
+        assert isinstance(await asyncio.wait_for(pool.run(block(1)), SOON_S), BlockTiles)
+        assert pool.tally.timed_out == 0
+        assert pool.expected_s(block(1)) == expected_s, "what happens once says nothing of the next block"
+        await pool.close()
+
+    asyncio.run(run())
+
+
+def test_missing_loops_are_compiled_in_the_background(monkeypatch: pytest.MonkeyPatch):
+    done = threading.Event()
+
+    def compile_ahead(products, processes, progress, background, on_start) -> None:
+        assert tuple(products) == PRODUCTS and background
+        progress("compiling loops for points", 5, 7)
+        assert done.wait(SOON_S)
+
+    monkeypatch.setattr(background_compile, "compile_ahead", compile_ahead)
+
+    async def run() -> None:
+        pool = Pool(Settings(workers=2), functools.partial(fake_workers.compiling, missing=7))
+        pool.open()
+        await until(lambda: pool.preparing == Preparing("compiling loops for points", 5, 7))
+        assert pool.ready and pool.compiling.is_running
+        assert isinstance(await pool.run(block(1)), BlockTiles), "nobody waits for it"
+        assert not pool.idle._idle(), "what is measured while the machine is idle waits"
+        done.set()
+        await until(lambda: pool.preparing is None and not pool.compiling.is_running)
+        await pool.close()
+
+    asyncio.run(run())
+
+
+def test_a_service_that_stops_ends_what_compiles_in_the_background(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "store"))
+
+    async def run() -> int:
+        pool = Pool(Settings(workers=1), functools.partial(fake_workers.compiling, missing=7))
+        pool.open()
+        await until(lambda: pool.compiling._farm is not None)
+        farm = pool.compiling._farm
+        assert farm is not None
+        await asyncio.wait_for(pool.close(), SOON_S)
+        return farm.returncode
+
+    assert asyncio.run(run()) == -signal.SIGKILL
 
 
 def test_the_others_start_when_the_first_is_ready():

@@ -1,0 +1,72 @@
+"""The loops that no request has needed yet, compiled in the background at the lowest priority once a service can draw."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import subprocess
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+from api.workers.jobs import Preparing
+from terrain.compiling.ahead import PRODUCTS, Progress, compile_ahead
+
+log = logging.getLogger("skugga")
+
+
+class BackgroundCompile:
+    """Compiles all missing loops once, in a process of its own. To be used from one event loop.
+
+    Parameters
+    ----------
+    processes
+        Cores that it may take.
+    on_progress
+        Called in the event loop with what is compiled, and with ``None`` at the end.
+    """
+
+    def __init__(self, processes: int, on_progress: Callable[[Preparing | None], None]) -> None:
+        self._processes, self._on_progress = processes, on_progress
+        self._thread = ThreadPoolExecutor(1, "skugga-compile")
+        self._farm: subprocess.Popen[str] | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._closed = False
+
+    @property
+    def is_running(self) -> bool:
+        """Whether loops are being compiled."""
+        return self._task is not None and not self._task.done()
+
+    def begin(self, missing_loops: int) -> None:
+        """Begin, where loops are missing and this has not begun before."""
+        if missing_loops and self._task is None and not self._closed:
+            self._on_progress(Preparing(f"compiling loops for {PRODUCTS[0]}", 0, missing_loops))
+            self._task = asyncio.create_task(self._run(asyncio.get_running_loop()))
+
+    async def close(self) -> None:
+        """End it."""
+        self._closed = True
+        if self._farm is not None:
+            self._farm.kill()
+        if self._task is not None:
+            await asyncio.gather(self._task, return_exceptions=True)
+        self._thread.shutdown(wait=True)
+
+    async def _run(self, loop: asyncio.AbstractEventLoop) -> None:
+        def report(task: str, done: int, total: int) -> None:
+            loop.call_soon_threadsafe(self._on_progress, Preparing(task, done, total))
+
+        try:
+            await loop.run_in_executor(self._thread, self._compile, report)
+        except Exception as error:  # out of processes or memory: what is missing is compiled when it is called
+            log.warning("loops cannot be compiled in the background: %s", error)
+        finally:
+            self._on_progress(None)
+
+    def _compile(self, report: Progress) -> None:
+        compile_ahead(PRODUCTS, self._processes, report, background=True, on_start=self._note_start)
+
+    def _note_start(self, farm: subprocess.Popen[str]) -> None:
+        self._farm = farm
+        if self._closed:
+            farm.kill()

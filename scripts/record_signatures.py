@@ -1,0 +1,220 @@
+"""Record which loops each product needs, with the types that they are called with, into ``terrain/compiling/signatures.json``.
+
+    python scripts/record_signatures.py                          # all products, some minutes
+    python scripts/record_signatures.py "hours of sun" points    # the others are left as they are
+
+Each product is made in a process of its own with an empty store, so that all that it needs is compiled, callees too. The rasters
+are made here: projected and geographic ones, floats and integers, with and without holes; with trees and buildings the bundled
+levels.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, MASKS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS
+
+TIME = "2024-10-21T16:30:00+00:00"
+"""A time for rasters near Greenwich, with the sun low in the west."""
+
+
+def write_rasters(folder: Path) -> list[Path]:
+    """Write hills: float32 in UTM with holes, int16 in degrees, float32 in a plain of the author's own."""
+    import numpy as np
+    import rasterio
+    from affine import Affine
+
+    rows, cols = np.mgrid[:360, :300] / 40.0
+    heights = 400.0 + 300.0 * np.sin(rows) * np.cos(1.7 * cols) + 40.0 * np.sin(5.0 * cols + 3.0 * rows)
+    engineering = 'ENGCRS["site",EDATUM["site"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'
+    kinds: list[tuple[str, str, str, float, float, float]] = [
+        ("projected", "float32", "EPSG:32631", 500_000.0, 5_000_000.0, 30.0),
+        ("geographic", "int16", "EPSG:4326", 3.0, 45.0, 1.0 / 3600.0),
+        ("flat", "float32", engineering, 0.0, 0.0, 5.0),
+    ]
+    paths = []
+    for name, dtype, crs, x0, y0, cell in kinds:
+        data = heights.astype(dtype)
+        if name == "projected":
+            data[100:110, 200:230] = -9999
+        path = folder / f"{name}.tif"
+        with rasterio.open(
+            path, "w", driver="GTiff", width=data.shape[1], height=data.shape[0], count=1, dtype=dtype, crs=crs,
+            transform=Affine(cell, 0, x0, 0, -cell, y0), nodata=-9999,
+        ) as dataset:  # fmt: skip
+            dataset.write(data, 1)
+        paths.append(path)
+    return paths
+
+
+def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[float, float]] = ()) -> None:
+    """Draw tiles of levels: colours at coarse zooms, at the data's own and magnified, under some suns; other layers at one zoom."""
+    from api.http.first_blocks import first_block
+    from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevels
+    from api.matrices import OVERZOOMS
+    from api.workers.jobs import PictureRequest
+    from api.workers.render_worker import WorkerState, run_job
+    from api.workers.warm_up import warm_up
+    from terrain.level.parts import SunSpec
+
+    state = WorkerState(warm_up())
+    for level in ServedLevels(sources).known():
+        zooms = level.zooms.get(DEFAULT_MATRIX_SET)
+        if zooms is None:
+            continue
+        own = max(zooms.last - OVERZOOMS, zooms.first)
+        colors = [(zoom, "color", sun) for zoom in dict.fromkeys((own, zooms.first, zooms.last)) for sun in (None, *suns)]
+        for zoom, layer, sun in [*colors, *((own, layer, None) for layer in layers)]:
+            block = first_block(level, zoom)
+            assert block is not None
+            spec = None if sun is None else SunSpec(azimuth=sun[0], altitude=sun[1])
+            suffix = "npy" if layer == "visibility" else "png"
+            run_job(block.model_copy(update={"layer": layer, "format": suffix, "request": PictureRequest(sun=spec)}), state)
+
+
+def _command(*words: object) -> None:
+    from api.cli.main import main
+
+    sys.argv = ["skugga", *map(str, words)]
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, words
+
+
+def maps(rasters: Sequence[Path], folder: Path) -> None:
+    _draw(rasters, ["shadow", "mask", "visibility", "terrain-rgb"], suns=[(350.0, 35.0), (80.0, 5.0)])  # along columns and rows
+
+
+def maps_of_casters(rasters: Sequence[Path], folder: Path) -> None:
+    from api.catalogue import find_level
+
+    _draw([find_level("jacksboro_wooded"), find_level("jacksboro_alpine")], ["shadow"])
+
+
+def pictures(rasters: Sequence[Path], folder: Path) -> None:
+    for raster in rasters:
+        sun = ["--azimuth", 237, "--altitude", 12] if raster.stem == "flat" else ["--time", TIME]
+        _command("render", raster, *sun, "--size", "600x600", "-o", folder / "out.png")
+
+
+def views(rasters: Sequence[Path], folder: Path) -> None:
+    from api.catalogue import bundled_levels
+    from api.cli.snapshot import snapshot
+    from terrain.level.level import load_level
+
+    for path in bundled_levels():
+        for name, view in load_level(path).level.views.items():
+            if view.kind == "perspective":
+                snapshot(path, name, None, {}, None, None, None)
+
+
+def masks(rasters: Sequence[Path], folder: Path) -> None:
+    for raster in rasters:
+        sun = ["--azimuth", 237, "--altitude", 12] if raster.stem == "flat" else ["--time", TIME]
+        for layer in ("mask", "visibility", "shadow", "color", "cosi"):
+            _command("shade", raster, "--layer", layer, *sun, "-o", folder / "out.tif")
+
+
+def sun_hours(rasters: Sequence[Path], folder: Path) -> None:
+    from api.http.first_blocks import first_blocks
+    from api.http.served_levels import ServedLevels
+    from api.sun_hours_layer import SunHoursQuery
+    from api.workers.jobs import SunHoursJob
+    from api.workers.render_worker import WorkerState, run_job
+
+    for raster in rasters[:2]:
+        for quantity in ("hours", "first", "longest"):
+            _command("sunhours", raster, "--date", "2024-12-21", "--quantity", quantity, "-o", folder / "out.tif")
+    state = WorkerState("")
+    for block in first_blocks(ServedLevels(rasters[:2])):
+        place = block.model_dump(include={"matrix_set", "zoom", "block_x", "block_y"})
+        run_job(SunHoursJob(level=block.level, **place, query=SunHoursQuery(date=date(2024, 3, 20))), state)
+
+
+def points(rasters: Sequence[Path], folder: Path) -> None:
+    from api.catalogue import find_level
+    from api.point.report import PointQuery, point_report
+    from terrain.level.level import load_level
+    from terrain.scene import build_scene
+
+    for source in [*rasters, find_level("jacksboro_wooded")]:
+        with_trees = source.stem == "jacksboro_wooded"
+        scene = build_scene(load_level(source))
+        flat = scene.world.flat
+        lon, lat = (750.0, -900.0) if flat else (scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
+        point_report(scene, PointQuery(lon=lon, lat=lat, date=None if flat else date(2024, 3, 20)))
+        if not flat and not with_trees:
+            point_report(scene, PointQuery(lon=lon, lat=lat, date=date(2024, 3, 20), height=2.0))
+        scene.close()
+
+
+MAKERS: dict[str, Callable[[Sequence[Path], Path], None]] = {
+    MAPS: maps, MAPS_OF_CASTERS: maps_of_casters, PICTURES: pictures, MASKS: masks, SUN_HOURS: sun_hours, POINTS: points,
+    VIEWS: views,
+}  # fmt: skip
+
+
+def record(product: str) -> list[tuple[str, Any]]:
+    """Make a product in this process, whose store is empty; return the loops that were compiled, with their encoded types."""
+    from terrain.compiling.loop_cache import recorders
+    from terrain.compiling.signatures import decode_type, encode_type
+
+    found: list[tuple[str, Any]] = []
+
+    def note(loop: Any, args: tuple[Any, ...]) -> None:
+        function = loop.py_func
+        if "<" in function.__qualname__:  # made within another function: no module has it
+            return
+        encoded = [encode_type(each) for each in args]
+        assert tuple(map(decode_type, encoded)) == args, (function, args)
+        found.append((f"{function.__module__}:{function.__qualname__}", encoded))
+
+    recorders.append(note)
+    with tempfile.TemporaryDirectory() as folder:
+        MAKERS[product](write_rasters(Path(folder)), Path(folder))
+    return found
+
+
+def main(products: Sequence[str]) -> None:
+    """Record products, each in a process with an empty store, two at a time, and write the list."""
+    from terrain.compiling.signatures import PATH, recorded_signatures
+
+    def recorded(product: str) -> list[tuple[str, Any]]:
+        with tempfile.TemporaryDirectory() as store:
+            quick = {"NUMBA_OPT": "1", "NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0"}  # the machine code is thrown away
+            environment = {**os.environ, "NUMBA_CACHE_DIR": store, "XDG_CACHE_HOME": f"{store}/cache", **quick}
+            command = [sys.executable, __file__, "--one", product, f"{store}/found.json"]
+            subprocess.run(command, env=environment, check=True)
+            return [tuple(each) for each in json.loads(Path(store, "found.json").read_text(encoding="utf-8"))]
+
+    needed: dict[tuple[str, str], set[str]] = {}
+    for each in recorded_signatures():
+        if left := set(each.products) - set(products):
+            needed[each.loop, each.args] = left
+    with ThreadPoolExecutor(2) as pool:
+        for product, found in zip(products, pool.map(recorded, products), strict=True):
+            print(f"{product}: {len(found)} loops")
+            for loop, args in found:
+                needed.setdefault((loop, json.dumps(args)), set()).add(product)
+    rows = [
+        json.dumps({"loop": loop, "args": json.loads(args), "products": [each for each in PRODUCTS if each in by]})
+        for (loop, args), by in sorted(needed.items())
+    ]
+    PATH.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--one"]:
+        Path(sys.argv[3]).write_text(json.dumps(record(sys.argv[2])), encoding="utf-8")
+    else:
+        main(sys.argv[1:] or PRODUCTS)

@@ -1,0 +1,160 @@
+"""The identity of a compiled loop: a digest of everything that its machine code depends on.
+
+Numba looks at the source file of the loop alone. A loop also depends on the loops that it calls, and on the values of the globals
+that it reads, both frozen into its machine code when it is compiled. The digest covers them, recursively. It does not cover what
+leaves the machine code as it is: line numbers, comments, docstrings, the path and the time of the file.
+"""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+from collections.abc import Callable, Hashable, Iterator
+from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+from numba.core import types
+from numba.core.dispatcher import Dispatcher
+
+LIBRARIES = frozenset({"_heapq", "builtins", "cmath", "heapq", "math", "numba", "numpy", "operator"})
+"""Packages whose functions are identified by their names: their versions are part of the key of every stored loop."""
+
+DigestOf = Callable[[Dispatcher], str]
+
+
+class UnknownValueError(TypeError):
+    """A loop reads a value whose content cannot be digested."""
+
+
+def digest(description: Hashable) -> str:
+    """Return the SHA-256 digest of a nested tuple of numbers and strings."""
+    return hashlib.sha256(repr(description).encode()).hexdigest()
+
+
+def describe_function(function: FunctionType, digest_of_callee: DigestOf) -> Hashable:
+    """Describe a function: its bytecode and constants, and the values of the globals and free variables that it reads.
+
+    Parameters
+    ----------
+    function
+        The function as Python sees it.
+    digest_of_callee
+        Gives the digest of a compiled loop that the function calls.
+
+    Returns
+    -------
+    Hashable
+        A nested tuple of numbers and strings, equal for functions that compile to the same machine code.
+
+    Raises
+    ------
+    UnknownValueError
+        Where the function reads a value whose content is not known to this module.
+    """
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    return (
+        function.__module__,
+        function.__qualname__,
+        _describe_code(function.__code__, function.__doc__),
+        tuple((name, _describe(cell.cell_contents, (), digest_of_callee)) for name, cell in cells),
+        _describe(function.__defaults__, (), digest_of_callee),
+        _describe(function.__kwdefaults__, (), digest_of_callee),
+        tuple(_describe_globals(function, digest_of_callee)),
+    )
+
+
+def describe_types(args: tuple[types.Type, ...]) -> Hashable:
+    """Describe the types of a signature. Named tuples carry the order of their fields, which numba's own names leave out."""
+    return tuple(_describe_type(each) for each in args)
+
+
+def _describe_type(numba_type: types.Type) -> Hashable:
+    tuple_type: Any = numba_type  # numba's stubs do not say what it holds
+    if isinstance(numba_type, types.BaseNamedTuple):
+        return "named tuple", _describe_class(tuple_type.instance_class), describe_types(tuple(tuple_type.types))
+    if isinstance(numba_type, types.BaseTuple):
+        return "tuple", describe_types(tuple(tuple_type.types))
+    if isinstance(numba_type, types.Optional):
+        return "optional", _describe_type(numba_type.type)
+    return str(numba_type)
+
+
+def _describe_code(code: CodeType, doc: str | None) -> Hashable:
+    """Describe bytecode. ``doc`` is the docstring, a constant that no instruction loads."""
+    constants = [
+        _describe_code(constant, None) if isinstance(constant, CodeType) else (type(constant).__name__, repr(constant))
+        for constant in code.co_consts
+        if doc is None or constant is not doc
+    ]
+    return (
+        code.co_code.hex(), code.co_exceptiontable.hex(), code.co_flags, code.co_argcount, code.co_posonlyargcount,
+        code.co_kwonlyargcount, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars, tuple(constants),
+    )  # fmt: skip
+
+
+def _describe_globals(function: FunctionType, digest_of_callee: DigestOf) -> Iterator[Hashable]:
+    """Describe the global values that a function may read. ``co_names`` holds attributes, too: a global of such a name counts."""
+    names = tuple(dict.fromkeys(_names(function.__code__)))
+    for name in names:
+        if name in function.__globals__:
+            yield name, _describe(function.__globals__[name], names, digest_of_callee)
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
+
+
+def _describe(value: Any, attributes: tuple[str, ...], digest_of_callee: DigestOf) -> Hashable:
+    """Describe a value. Of a module only the ``attributes`` that a function may read count."""
+
+    def described(part: Any) -> Hashable:
+        return _describe(part, (), digest_of_callee)
+
+    match value:
+        case enum.Enum():
+            return "enum", _describe_class(type(value)), value.name, described(value.value)
+        case None | bool() | int() | float() | complex() | str() | bytes() if type(value).__module__ == "builtins":
+            return type(value).__name__, repr(value)
+        case np.ndarray() if not value.dtype.hasobject:
+            layout = value.flags.c_contiguous, value.flags.f_contiguous, value.flags.writeable
+            return "array", str(value.dtype.descr), value.shape, layout, hashlib.sha256(value.tobytes()).hexdigest()
+        case np.generic():
+            return "scalar", str(value.dtype.descr), value.tobytes().hex()
+        case np.dtype():
+            return "dtype", str(value.descr)
+        case tuple():
+            return "tuple", _describe_class(type(value)), tuple(map(described, value))
+        case list():
+            return "list", tuple(map(described, value))
+        case dict():
+            return "dict", tuple((described(key), described(part)) for key, part in value.items())
+        case Dispatcher():
+            return "loop", digest_of_callee(value)
+        case types.Type():
+            return "type", _describe_type(value)
+        case type():
+            return "class", _describe_class(value)
+        case ModuleType():
+            if _is_library(value.__name__):
+                return "library", value.__name__
+            found = [name for name in attributes if name in vars(value)]
+            parts = ((name, _describe(vars(value)[name], attributes, digest_of_callee)) for name in found)
+            return "module", value.__name__, tuple(parts)
+    owner = getattr(value, "__module__", None) or type(value).__module__
+    if _is_library(owner) or isinstance(value, BuiltinFunctionType | np.ufunc):
+        return "library", owner, getattr(value, "__qualname__", None) or getattr(value, "__name__", None) or repr(value)
+    if isinstance(value, FunctionType):  # one that numba was told to compile into its callers
+        return "function", describe_function(value, digest_of_callee)
+    raise UnknownValueError(f"a {type(value).__name__} of {owner}")
+
+
+def _is_library(module: str) -> bool:
+    return module.partition(".")[0] in LIBRARIES
+
+
+def _describe_class(cls: type) -> Hashable:
+    return cls.__module__, cls.__qualname__, getattr(cls, "_fields", ())

@@ -1,0 +1,212 @@
+"""A process that compiles loops ahead, on several cores, and stores them: ``python -m terrain.compiling.farm``.
+
+It imports the modules of the loops once, then forks one child for each core. A loop is compiled when the loops that it calls are
+stored, so that no two children compile the same. Products go in the order of the command line, and of each the longest chain of
+calls goes first. A line ``done total product`` is printed for each loop. A child that is killed costs its loop, which is compiled
+when it is called.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import logging
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import cache
+from graphlib import TopologicalSorter
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from types import CodeType
+from typing import Any, NamedTuple
+
+from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
+
+from terrain.compiling.loop_cache import LoopCache, loop_store
+from terrain.compiling.signatures import recorded_signatures
+
+LOWEST_PRIORITY = 19
+"""See nice(2)."""
+
+
+class Task(NamedTuple):
+    """A loop to compile for the types of its arguments; ``rank`` is the first of the products asked for that needs it."""
+
+    loop: Any
+    args: tuple[Any, ...]
+    rank: int
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Compile what some products need and is stored nowhere."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--background", action="store_true", help="at the lowest priority")
+    parser.add_argument("products", nargs="+")
+    asked = parser.parse_args(argv)
+    logging.getLogger("skugga").setLevel(logging.ERROR)  # whoever uses the store warns of it, once
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the process that waits for this one
+    if asked.background:
+        os.nice(LOWEST_PRIORITY)
+    try:
+        with _one_at_a_time(asked.background):
+            tasks = missing_tasks(asked.products)
+            for done, task in enumerate(compile_tasks(tasks, asked.processes), 1):
+                print(done, len(tasks), asked.products[task.rank], flush=True)
+    except BrokenPipeError:  # whoever waited has ended
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError:  # the store cannot be written: whoever calls a loop compiles it, and tells why
+        return
+
+
+@contextmanager
+def _one_at_a_time(background: bool) -> Iterator[None]:
+    """Wait while another process compiles for somebody who waits: it may compile the same. Background work has a lock of its own.
+
+    Raises ``OSError`` where the store cannot be written.
+    """
+    folder = loop_store().folder
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with (folder / f".{'background' if background else 'compiling'}.lock").open("a") as lock:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def missing_tasks(products: Sequence[str]) -> list[Task]:
+    """Return the loops of some products that are not stored. What the list of loops names and is no longer there is left out."""
+    tasks = []
+    for each in recorded_signatures(products):
+        try:
+            loop, args = each.dispatcher(), each.argument_types()
+        except (ImportError, AttributeError):
+            continue
+        cache = getattr(loop, "_cache", None)
+        if isinstance(cache, LoopCache):
+            name = cache.entry_name(args, loop.targetctx.codegen().magic_tuple())
+            if name is not None and not loop_store().has(name):
+                tasks.append(Task(loop, args, min(products.index(product) for product in each.products if product in products)))
+    return tasks
+
+
+def compile_tasks(tasks: Sequence[Task], processes: int) -> Iterator[Task]:
+    """Compile loops in forked processes, callees before their callers; yield each when it is done."""
+    queue = _Queue(tasks)
+    children = _fork(tasks, min(processes, len(tasks)))
+    busy: dict[Connection, int] = {}
+    while queue.is_active and children:
+        for pipe in [pipe for pipe in children if pipe not in busy]:
+            number = queue.take()
+            if number is None:
+                break
+            busy[pipe] = number
+            with suppress(OSError):  # it was killed, which is heard below
+                pipe.send(number)
+        for pipe in [pipe for pipe in wait(list(busy)) if isinstance(pipe, Connection)]:
+            number = busy.pop(pipe)
+            try:
+                pipe.recv()
+            except (EOFError, OSError):
+                children.remove(pipe)
+                print(f"skugga: a process that compiles loops for {loop_store().folder} was killed", file=sys.stderr)
+            queue.finish(number)
+            yield tasks[number]
+
+
+def _fork(tasks: Sequence[Task], count: int) -> list[Connection]:
+    """Fork children that compile; return the pipes to them. They end when their pipes are closed."""
+    fork = get_context("fork")
+    pipes: list[Connection] = []
+    for _ in range(count):
+        ours, theirs = fork.Pipe()
+        fork.Process(target=_compile_until_closed, args=(theirs, tasks, [ours, *pipes]), daemon=True).start()
+        theirs.close()
+        pipes.append(ours)
+    return pipes
+
+
+class _Queue:
+    """Tasks whose callees are done: of the first product those with the longest chain of callers first."""
+
+    def __init__(self, tasks: Sequence[Task]) -> None:
+        by_loop: dict[Any, list[int]] = {}
+        for number, task in enumerate(tasks):
+            by_loop.setdefault(task.loop, []).append(number)
+        before = {number: {n for each in _callees(task.loop) for n in by_loop.get(each, ())} for number, task in enumerate(tasks)}
+        self._sorter = TopologicalSorter(before)
+        self._sorter.prepare()
+        self._ready: list[int] = []
+        callers: dict[int, list[int]] = {}
+        for number, callees in before.items():
+            for callee in callees:
+                callers.setdefault(callee, []).append(number)
+
+        @cache
+        def chain(number: int) -> int:
+            return _size(tasks[number].loop) + max(map(chain, callers.get(number, ())), default=0)
+
+        self._urgency: Callable[[int], tuple[int, int]] = lambda number: (-tasks[number].rank, chain(number))
+
+    @property
+    def is_active(self) -> bool:
+        """Whether a task is left or on its way."""
+        return self._sorter.is_active()
+
+    def take(self) -> int | None:
+        """Return the next task; ``None`` where all that is left waits for its callees."""
+        self._ready = sorted([*self._ready, *self._sorter.get_ready()], key=self._urgency)
+        return self._ready.pop() if self._ready else None
+
+    def finish(self, number: int) -> None:
+        """Let the callers of a task go on."""
+        self._sorter.done(number)
+
+
+def _compile_until_closed(pipe: Connection, tasks: Sequence[Task], foreign: Sequence[Connection]) -> None:
+    """Compile the tasks whose numbers come from a pipe. ``foreign`` ends of pipes are inherited, and would hold them open."""
+    for end in foreign:
+        end.close()
+    while True:
+        try:
+            number = pipe.recv()
+        except (EOFError, OSError):
+            return
+        loop, args, _ = tasks[number]
+        try:
+            loop.compile(args)
+        except NumbaError as error:  # a list that is behind: the loop takes other types now
+            print(f"skugga: {loop.py_func.__module__}.{loop.py_func.__name__} is not compiled ahead: {error}", file=sys.stderr)
+        pipe.send(number)
+
+
+@cache
+def _callees(loop: Any) -> frozenset[Any]:
+    """Return the loops that a loop calls, and those that they call."""
+    found: set[Any] = set()
+    function = loop.py_func
+    cells = [cell.cell_contents for cell in function.__closure__ or ()]
+    for value in [*cells, *(function.__globals__.get(name) for name in _names(function.__code__))]:
+        if isinstance(value, Dispatcher) and value is not loop:
+            found |= {value} | _callees(value)
+    return frozenset(found)
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
+
+
+@cache
+def _size(loop: Any) -> int:
+    """Return the bytes of code that compiling a loop takes, its callees with it: some measure of the time."""
+    return sum(len(each.py_func.__code__.co_code) for each in {loop} | _callees(loop))
+
+
+if __name__ == "__main__":
+    main()

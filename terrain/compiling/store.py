@@ -1,0 +1,174 @@
+"""Where compiled loops are stored: one file for each loop and signature, named by the digest of all that it depends on.
+
+A name determines its content, so there is no index that could be stale, and processes that write at the same time lose nothing.
+Files lie in the user's cache, over a folder that may come with the installation and is only read.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import logging
+import os
+import stat
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from terrain.compiling.bundle import FOLDER
+from terrain.user_cache import user_cache
+
+FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
+"""Environment variable that names another folder than the user's cache."""
+
+SUFFIX = ".loop"
+
+MAX_BYTES = 256 * 2**20
+"""Size of the user's folder. All loops of one version take some 30 MB."""
+
+EVICTED_TO = 0.75
+"""Share of ``MAX_BYTES`` that an eviction leaves, so that not every write evicts."""
+
+SCAN_EVERY_BYTES = 8 * 2**20
+"""Bytes that a process writes before it looks again how large the folder is."""
+
+TOUCH_AFTER_S = 86_400.0
+"""Age at which reading an entry renews its time of last use."""
+
+PARTIAL_AGE_S = 3600.0
+"""Age at which a partial file counts as left by a process that was killed."""
+
+_MAGIC = b"skugga-loop-1\n"
+_DIGEST_BYTES = 32
+
+log = logging.getLogger("skugga")
+
+
+class LoopStore:
+    """Files of compiled loops by name.
+
+    Parameters
+    ----------
+    folder
+        Folder that is read and written. It is created with mode 0700 by the first write.
+    bundled
+        Folder that is only read, first; ``None`` where the installation has none.
+
+    Attributes
+    ----------
+    problem : str or None
+        Why entries cannot be stored or read, as a sentence that names the folder; ``None`` while nothing is wrong.
+    """
+
+    def __init__(self, folder: Path, bundled: Path | None = None) -> None:
+        self.folder, self.bundled = folder, bundled
+        self.problem: str | None = None
+        self._unscanned_bytes = SCAN_EVERY_BYTES  # the first write looks
+
+    def read(self, name: str) -> bytes | None:
+        """Return the content of an entry; ``None`` where it is absent, damaged or not to be trusted."""
+        if self.bundled is not None and (content := _content(self.bundled / (name + SUFFIX))) is not None:
+            return content
+        path = self.folder / (name + SUFFIX)
+        try:
+            with path.open("rb") as file:
+                state = os.fstat(file.fileno())
+                if not _is_trusted(state):
+                    self._warn(f"{path} belongs to another user or may be written by one, and is not read")
+                    return None
+                entry = file.read()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            self._warn(f"{self.folder} cannot be read: {error.strerror}")
+            return None
+        content = _verified(entry)
+        if content is None:
+            self._warn(f"{path} is damaged; its loop is compiled again")
+            return None
+        if time.time() - state.st_mtime > TOUCH_AFTER_S:
+            with suppress(OSError):
+                os.utime(path)
+        return content
+
+    def write(self, name: str, content: bytes) -> None:
+        """Store an entry. A folder that cannot be written is told once, and is no error."""
+        try:
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            number, partial = tempfile.mkstemp(prefix=".partial-", dir=self.folder)
+            try:
+                with os.fdopen(number, "wb") as file:
+                    file.write(_MAGIC + hashlib.sha256(content).digest() + content)
+                os.replace(partial, self.folder / (name + SUFFIX))
+            except BaseException:
+                with suppress(OSError):
+                    os.unlink(partial)
+                raise
+            self._unscanned_bytes += len(content)
+            if self._unscanned_bytes >= SCAN_EVERY_BYTES:
+                self._unscanned_bytes = 0
+                self._evict()
+        except OSError as error:
+            self._warn(f"{self.folder} cannot be written ({error.strerror}), so every process compiles its loops anew")
+
+    def has(self, name: str) -> bool:
+        """Whether there is a file for an entry; it may turn out to be damaged."""
+        folders = (self.folder,) if self.bundled is None else (self.bundled, self.folder)
+        return any((folder / (name + SUFFIX)).is_file() for folder in folders)
+
+    def _evict(self) -> None:
+        """Remove the least recently used entries beyond ``MAX_BYTES``, and partial files of killed processes."""
+        with (self.folder / ".lock").open("a") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:  # another process evicts now, or the file system knows no locks
+                return
+            now, entries = time.time(), []
+            for file in os.scandir(self.folder):
+                with suppress(FileNotFoundError):
+                    state = file.stat(follow_symlinks=False)
+                    if file.name.startswith(".partial-") and now - state.st_mtime > PARTIAL_AGE_S:
+                        os.unlink(file.path)
+                    elif file.name.endswith(SUFFIX):
+                        entries.append((state.st_mtime, state.st_size, file.path))
+            total = sum(size for _, size, _ in entries)
+            if total <= MAX_BYTES:
+                return
+            for _, size, path in sorted(entries):
+                with suppress(FileNotFoundError):
+                    os.unlink(path)
+                total -= size
+                if total <= EVICTED_TO * MAX_BYTES:
+                    return
+
+    def _warn(self, problem: str) -> None:
+        if self.problem is None:
+            self.problem = f"compiled loops: {problem}. {FOLDER_VARIABLE} names another folder"
+            log.warning("%s", self.problem)
+
+
+def default_store() -> LoopStore:
+    """Return this user's store: the folder that ``NUMBA_CACHE_DIR`` names, else the user's cache, over the installation's own."""
+    named = os.environ.get(FOLDER_VARIABLE)
+    return LoopStore(Path(named) if named else user_cache("loops"), FOLDER if FOLDER.is_dir() else None)
+
+
+def _is_trusted(state: os.stat_result) -> bool:
+    """Whether nobody but this user and the system's administrator may have written a file: its content is run."""
+    return state.st_uid in (os.geteuid(), 0) and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def _content(path: Path) -> bytes | None:
+    try:
+        return _verified(path.read_bytes())
+    except OSError:
+        return None
+
+
+def _verified(entry: bytes) -> bytes | None:
+    """The content of an entry's bytes; ``None`` where they are not what was written."""
+    start = len(_MAGIC) + _DIGEST_BYTES
+    if not entry.startswith(_MAGIC) or hashlib.sha256(entry[start:]).digest() != entry[len(_MAGIC) : start]:
+        return None
+    return entry[start:]

@@ -1,0 +1,150 @@
+"""Loops compiled ahead in several processes: callees first, in the order of products, whatever becomes of a child."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from terrain.compiling import ahead, hooks
+from terrain.compiling.ahead import PRODUCTS, compile_ahead
+from terrain.compiling.farm import Task, _Queue
+from terrain.compiling.hooks import compiled_by, need, report_missing_loop
+from terrain.compiling.signatures import decode_type, encode_type, recorded_signatures
+
+ROOT = Path(__file__).resolve().parents[3]
+
+MODULE = """
+from terrain.compiled import compiled
+
+@compiled
+def leaf(x):
+    return x + 1.0
+
+@compiled
+def middle(x):
+    return leaf(x) * 2.0
+
+@compiled
+def top(x):
+    return middle(x) - leaf(x)
+
+@compiled
+def other(x):
+    return x * 3.0
+"""
+
+RUN = """
+import os, signal, sys
+import loops
+from numba.core import types
+from terrain.compiling import farm
+from terrain.compiling.loop_cache import recorders
+
+if {deadly}:  # a child that compiles ``middle`` is killed
+    recorders.append(lambda loop, args: loop.py_func.__name__ == "middle" and os.kill(os.getpid(), signal.SIGKILL))
+ranks = {{loops.top: 0, loops.leaf: 0, loops.middle: 0, loops.other: 1}}
+tasks = [farm.Task(loop, (types.float64,), rank) for loop, rank in ranks.items()]
+for task in farm.compile_tasks(tasks, {processes}):
+    print(task.loop.py_func.__name__)
+missing = [task.loop.py_func.__name__ for task in tasks if not farm.loop_store().has(
+    task.loop._cache.entry_name(task.args, task.loop.targetctx.codegen().magic_tuple()))]
+print("missing:", *missing)
+"""
+
+
+def run(folder: Path, processes: int, deadly: bool = False) -> tuple[list[str], str]:
+    (folder / "loops.py").write_text(MODULE, encoding="utf-8")
+    environment = {"PYTHONPATH": f"{folder}:{ROOT}", "NUMBA_CACHE_DIR": str(folder / "store"), "PATH": os.environ["PATH"]}
+    code = RUN.format(processes=processes, deadly=deadly)
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split("\n")[:-1], done.stderr
+
+
+def test_callees_are_compiled_before_their_callers(tmp_path: Path) -> None:
+    *order, missing = run(tmp_path, processes=2)[0]
+    assert order.index("leaf") < order.index("middle") < order.index("top") and len(order) == 4
+    assert missing == "missing:"
+
+
+def test_a_killed_child_costs_its_loop_alone(tmp_path: Path) -> None:
+    (*order, missing), said = run(tmp_path, processes=2, deadly=True)
+    assert sorted(order) == ["leaf", "middle", "other", "top"]
+    assert said.count("was killed") == 2 and str(tmp_path / "store") in said, "top compiles middle, too, in the other child"
+    assert "leaf" not in missing and "other" not in missing
+
+
+def test_first_products_go_first_and_of_them_the_longest_chain() -> None:
+    class Loop:
+        def __init__(self, code: str) -> None:
+            self.py_func = eval(f"lambda x: {code}")
+
+    short, long = Loop("x"), Loop("x + x * x - x / x + x")
+    queue = _Queue([Task(short, (), 1), Task(long, (), 1), Task(short, ("int",), 0), Task(long, ("int",), 0)])
+    assert [queue.take() for _ in range(5)] == [3, 2, 1, 0, None]
+
+
+@pytest.fixture
+def nothing_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hooks, "_needed", {})
+    monkeypatch.setattr(hooks, "_compiled", set())
+
+
+def test_needed_products_are_compiled_when_a_loop_is_missing_and_once(nothing_needed: None) -> None:
+    asked: list[list[str]] = []
+    with compiled_by(lambda products: asked.append(list(products))):
+        assert not report_missing_loop(), "nothing is needed yet"
+        need("masks")
+        need("masks")
+        assert report_missing_loop() and not report_missing_loop()
+        need("points")
+        assert report_missing_loop()
+    need("hours of sun")
+    assert not report_missing_loop(), "nobody compiles any more"
+    assert asked == [["masks"], ["points"]]
+
+
+def test_types_of_all_recorded_loops_are_what_was_encoded() -> None:
+    recorded = recorded_signatures()
+    assert {product for each in recorded for product in each.products} == set(PRODUCTS)
+    for each in recorded:
+        types = each.argument_types()
+        assert tuple(map(decode_type, map(encode_type, types))) == types
+        assert each.dispatcher().py_func.__name__ in each.loop
+
+
+def test_only_loops_of_the_products_asked_for_are_recorded_for_them() -> None:
+    chosen = recorded_signatures(["points"])
+    assert chosen and all("points" in each.products for each in chosen) and len(chosen) < len(recorded_signatures())
+
+
+def test_a_process_that_cannot_be_started_is_no_error(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    monkeypatch.setattr(ahead.sys, "executable", "/nonexistent/python")
+    compile_ahead(["points"], 1)
+    assert "cannot be compiled ahead" in caplog.text
+
+
+def test_an_interrupt_ends_the_process_that_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "store"))
+    started: list[subprocess.Popen[str]] = []
+
+    def interrupt(task: str, done: int, total: int) -> None:
+        assert task == "compiling loops for points" and done == 1 < total
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        compile_ahead(["points"], 1, interrupt, on_start=started.append)
+    assert started[0].returncode == -signal.SIGKILL
+
+
+def test_a_store_that_cannot_be_written_compiles_nothing_ahead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
+    steps: list[int] = []
+    compile_ahead(["points"], 1, lambda task, done, total: steps.append(done))
+    assert steps == []

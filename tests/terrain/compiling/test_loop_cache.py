@@ -1,0 +1,160 @@
+"""Compiled loops across processes: stored machine code is used where it is right, and never where it is stale."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+
+CALLEE = """
+from typing import NamedTuple
+from terrain.compiled import compiled
+
+class Pair(NamedTuple):
+    first: float
+    second: float
+
+FACTOR = 2.0
+DOUBLED = 2.0 * FACTOR
+
+@compiled
+def g(x):
+    return x * FACTOR
+
+@compiled
+def through(x):
+    return g(x)
+"""
+
+CALLER = """
+import b
+from terrain.compiled import compiled
+from terrain.compiling.loop_cache import recorders
+
+@compiled
+def f(x):
+    return b.through(x)
+
+@compiled
+def derived(x):
+    return x * b.DOUBLED
+
+@compiled
+def difference(pair):
+    return pair.first - pair.second
+
+if __name__ == "__main__":
+    compiled = []
+    recorders.append(lambda loop, args: compiled.append(loop.py_func.__name__))
+    print(f(2.0), derived(2.0), difference(b.Pair(first=5.0, second=3.0)), *["compiling"] * bool(compiled))
+"""
+
+
+class Modules:
+    """Two modules in a folder, and what a new process prints that runs them with one store of loops."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.write("a", CALLER)
+        self.write("b", CALLEE)
+
+    def write(self, name: str, text: str) -> None:
+        (self.folder / f"{name}.py").write_text(text, encoding="utf-8")
+
+    def run(self, *, code: str = "", **environment: str) -> str:
+        known = {"PYTHONPATH": f"{self.folder}:{ROOT}", "NUMBA_CACHE_DIR": str(self.folder / "store"), "PATH": os.environ["PATH"]}
+        command = [sys.executable, *(["-c", code] if code else ["a.py"])]
+        done = subprocess.run(command, cwd=self.folder, env=known | environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip() + done.stderr
+
+
+@pytest.fixture
+def modules(tmp_path: Path) -> Modules:
+    return Modules(tmp_path)
+
+
+def test_the_second_process_compiles_nothing(modules: Modules) -> None:
+    assert modules.run() == "4.0 8.0 2.0 compiling"
+    assert modules.run() == "4.0 8.0 2.0"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "printed"),
+    [
+        ("x * FACTOR", "x * FACTOR + 198.0", "202.0 8.0 2.0 compiling"),  # the callee of a callee
+        ("FACTOR = 2.0\n", "FACTOR = 3.0\n", "6.0 12.0 2.0 compiling"),  # a constant of another module, and a derived one
+        ("first: float\n    second: float", "second: float\n    first: float", "4.0 8.0 2.0 compiling"),  # the order of fields
+        ("first: float\n    second: float", "second: float\n    first: float\n    # a comment", "4.0 8.0 2.0 compiling"),
+    ],
+)
+def test_a_change_in_another_module_compiles_the_caller_again(modules: Modules, old: str, new: str, printed: str) -> None:
+    modules.run()
+    assert old in CALLEE
+    modules.write("b", CALLEE.replace(old, new))
+    assert modules.run() == printed
+    assert modules.run() == printed.removesuffix(" compiling")
+
+
+def test_a_touched_file_and_an_edited_comment_compile_nothing(modules: Modules) -> None:
+    modules.run()
+    modules.write("b", CALLEE.replace("FACTOR = 2.0\n", "\n# how much larger\nFACTOR = 2.0\n"))
+    modules.write("a", CALLER.replace("def f(x):", "def f(x):  # edited"))
+    later = time.time() + 100.0
+    for name in ("a.py", "b.py"):
+        os.utime(modules.folder / name, (later, later))
+    assert modules.run() == "4.0 8.0 2.0"
+
+
+def test_a_setting_of_the_compiler_is_another_entry(modules: Modules) -> None:
+    modules.run()
+    assert modules.run(NUMBA_OPT="1").endswith("compiling")
+    assert not modules.run(NUMBA_OPT="1").endswith("compiling")
+    assert modules.run(NUMBA_CPU_NAME="x86-64-v3", NUMBA_CPU_FEATURES="").endswith("compiling")
+
+
+def test_a_global_replaced_in_a_running_process_is_stored_nowhere(modules: Modules) -> None:
+    """``g`` is compiled for floats with the old value, and for integers with the new one; callers may hold either."""
+    code = "import a, b; a.f(2.0); b.FACTOR = 50.0; print(a.f(2.0), a.f(2), b.g(2), a.derived(1.0))"
+    assert modules.run(code=code) == "4.0 100.0 100.0 4.0"
+    assert modules.run(code="import a, b; print(a.f(2.0), a.f(2), b.g(2))") == "4.0 4.0 4.0"
+
+
+def test_a_truncated_entry_is_compiled_again(modules: Modules) -> None:
+    modules.run()
+    for path in (modules.folder / "store").glob("*.loop"):
+        path.write_bytes(path.read_bytes()[:100])
+    printed = modules.run()
+    assert printed.startswith("4.0 8.0 2.0 compiling") and printed.count("is damaged") == 1
+    assert modules.run() == "4.0 8.0 2.0"
+
+
+def test_a_file_in_place_of_the_folder_is_told_once(modules: Modules) -> None:
+    (modules.folder / "store").write_text("")
+    printed = modules.run()
+    assert printed.startswith("4.0 8.0 2.0 compiling") and printed.count(str(modules.folder / "store")) == 1
+
+
+def test_processes_that_compile_at_the_same_time_lose_nothing(modules: Modules) -> None:
+    environment = {"PYTHONPATH": f"{modules.folder}:{ROOT}", "NUMBA_CACHE_DIR": str(modules.folder / "store")}
+    arguments = ["2", "2.0", "b.np.float32(2)"]
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", f"import a, b, numpy; b.np = numpy; a.f({each})"], cwd=modules.folder, env=environment
+        )
+        for each in arguments
+    ]
+    assert [process.wait() for process in started] == [0, 0, 0]
+    code = "import a, numpy as np; a.recorders.append(lambda *_: print('compiling'))\n"
+    code += "print(a.f(2), a.f(2.0), a.f(np.float32(2)))"
+    assert modules.run(code=code) == "4.0 4.0 4.0"
+
+
+def test_python_may_be_told_not_to_compile(modules: Modules) -> None:
+    assert modules.run(NUMBA_DISABLE_JIT="1") == "4.0 8.0 2.0"
