@@ -209,6 +209,8 @@ TEMPORARY = {
     "api/workers/process_life.py": "what the system is told of this process",
     "selector/cost/calibration_scenes.py": "levels of its own in a temporary folder",
     "shadows/truth/cache.py": "inside of what replaces a file",
+    "terrain/compiling/farm.py": "its lock",
+    "terrain/compiling/store.py": "entries that are verified when they are read, so that nothing waits for the disk; its lock",
     "terrain/whole_files.py": "the place where files are written",
     "terrain/trees/kept_pictures.py": "inside of what replaces a file",
 }
