@@ -24,8 +24,7 @@ from api.shade_layers import SHADE_LAYERS
 from selector.select import plan_of_view
 from terrain.errors import InputError, SourceError
 from terrain.gbuffer.bare_ground import forget_ground_before
-from terrain.geo.grid import Grid, MapView, blocks_of
-from terrain.ground.surface import step_at_anchor_m
+from terrain.geo.grid import Grid, MapView, blocks_of, step_at_anchor_m
 from terrain.level.parts import SunSpec
 from terrain.level.rasters import open_raster
 from terrain.scene import Scene

@@ -20,8 +20,7 @@ from shadows.sun_hours.suns import window_suns
 from terrain.errors import InputError
 from terrain.gbuffer.covered_nodes import WIDE_M, is_bare
 from terrain.geo.daily_windows import DailyWindow
-from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
-from terrain.ground.surface import step_at_anchor_m
+from terrain.geo.grid import BLOCK_PX, MapView, blocks_of, step_at_anchor_m
 from terrain.scene import Scene
 
 BLOCK_NODES = 2 * BLOCK_PX

@@ -21,9 +21,9 @@ from terrain.facts.visible_points import edge_share, ground_points, probes_in_ma
 from terrain.gbuffer.covered_nodes import PixelsShow, drawn_view, ground_pixels, halvings
 from terrain.gbuffer.ground_mesh import ground_mesh
 from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.geo.grid import BLOCK_PX, MapView, step_at_anchor_m
 from terrain.ground.elevation import Elevation
-from terrain.ground.surface import map_pixel_m, step_at_anchor_m
+from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 
 

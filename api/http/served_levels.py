@@ -20,10 +20,10 @@ from api.layers import BETWEEN_LAYERS, MAP_LAYERS, PICTURE_LAYERS
 from api.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from api.workers.jobs import LevelKey
-from shadows.registry import served_algorithms
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError, printable
 from terrain.geo.sun import Sun, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.level.algorithm_names import served_algorithms
 from terrain.level.data_roots import DataRoots
 from terrain.level.level import SUN, LoadedLevel, expand_override, lights_named, load_level
 from terrain.level.level_source import LevelSource

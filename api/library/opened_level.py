@@ -20,7 +20,8 @@ from api.device_calibration import calibration_for
 from api.film_span import USUAL_FPS, film_span
 from api.layers import PASS_LAYERS, frame_layer
 from api.library.tile_service import TileService
-from api.point.report import PointQuery, PointReport, around_point, point_report
+from api.point.report import around_point, point_report
+from api.point.values import PointQuery, PointReport
 from api.shade import Bounds, raster_view, shade_array, transform_of
 from api.sun_hours import sun_hours_array
 from selector.film import FilmRequest, film_frames, frame_moments

@@ -12,8 +12,7 @@ from pydantic import BaseModel, ConfigDict, InstanceOf, field_validator
 
 from api.errors import OUTCOMES
 from api.layers import MapFormat, MapLayer, PictureFormat, ViewLayer
-from api.point.report import PointQuery
-from api.point.track import TrackPoint
+from api.point.values import PointQuery, TrackPoint
 from api.sun_hours_layer import SunHoursQuery
 from selector.film import FilmRequest, FilmSpan
 from selector.replanning import PlanState

@@ -179,6 +179,25 @@ def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
     return Grid(crs, x + step / 2, y - step / 2, step)  # pixels, not nodes, touch at the anchor
 
 
+@cached("process", MIB, size_of=lambda _: 512)
+def step_at_anchor_m(world: World, grid: Grid) -> float:
+    """Ground distance between neighbouring nodes at the anchor, metres: the root of a quad's area.
+
+    One figure for the level, so that nothing is decided per tile.
+    """
+    if world.flat:
+        return grid.step * world.metres_per_unit * float(np.sqrt(grid.stretch))
+    if grid.crs == world.crs:
+        x, y = world.anchor_x, world.anchor_y
+    else:
+        x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(world.anchor_lon_deg, world.anchor_lat_deg)
+    half = grid.step / 2
+    down = half * grid.stretch
+    point, _ = world.ground(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - down, y + down]))
+    size = np.linalg.norm(point[1] - point[0]) * np.linalg.norm(point[3] - point[2])
+    return float(np.sqrt(size))
+
+
 @cached("process", MIB, key=lambda tms: (tms.id,), size_of=lambda _: 2**14)
 def crs_of_tiles(tms: TileMatrixSet) -> CRS:
     """The CRS of a tile matrix set: one object, by which what is kept for it is found."""
