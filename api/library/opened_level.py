@@ -24,7 +24,8 @@ from api.point.report import around_point, point_report
 from api.point.values import PointQuery, PointReport
 from api.shade import Bounds, raster_view, shade_array, transform_of
 from api.sun_hours import sun_hours_array
-from selector.film import FilmRequest, film_frames, frame_moments
+from selector.film import film_frames, frame_moments
+from selector.film_request import FilmRequest
 from selector.replanning import Replanner
 from selector.select import plan_of_view
 from shadows.point.horizon import PointHorizon, horizon_round

@@ -121,13 +121,13 @@ def collar_of(elevation: Elevation) -> Collar | None:
 
 def _candidates(seen: _Cells) -> Iterator[tuple[np.generic, _Region]]:
     """The commonest values of the border, with their cells that hang together with it."""
-    from scipy.ndimage import label
-
     border = seen.border(seen.values)[seen.border(seen.known)]
     values, count = np.unique(border, return_counts=True)
     for index in np.argsort(count)[::-1][:_CANDIDATES]:
         if count[index] < BORDER_SHARE * max(len(seen.border(seen.known)), 1):
             return
+        from scipy.ndimage import label  # a quarter of a second, which rasters without such a value need not pay
+
         parts, _ = label(seen.known & (seen.values == values[index]), _EIGHT)
         at_border = seen.border(parts)
         cells = np.isin(parts, np.unique(at_border[at_border > 0]))
