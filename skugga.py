@@ -9,20 +9,47 @@
         day = level.point(7.45, 46.02, date="2024-12-21").day
 
 With xarray and rioxarray installed, ``import skugga`` gives every DataArray of heights the accessor ``da.skugga``.
+
+Each name is imported when it is first used, so that ``import skugga`` takes no time.
 """
 
 from __future__ import annotations
 
-from api.library.arrays import shadow
-from api.library.arrays import sun_hours_of_array as sun_hours
-from api.library.opened_level import OpenLevel, open_heights, open_level
-from shadows.sweep.grid import sunlit
-from shadows.sweep.horizon import horizon_deg as horizon
-from terrain.errors import SkuggaError
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from api.library.register_accessor import register_accessor
+
+if TYPE_CHECKING:
+    from api.library.arrays import shadow
+    from api.library.arrays import sun_hours_of_array as sun_hours
+    from api.library.opened_level import OpenLevel, open_heights, open_level
+    from shadows.sweep.grid import sunlit
+    from shadows.sweep.horizon import horizon_deg as horizon
+    from terrain.errors import SkuggaError
+else:
+    _SOURCES = {
+        "OpenLevel": ("api.library.opened_level", "OpenLevel"),
+        "SkuggaError": ("terrain.errors", "SkuggaError"),
+        "horizon": ("shadows.sweep.horizon", "horizon_deg"),
+        "open_heights": ("api.library.opened_level", "open_heights"),
+        "open_level": ("api.library.opened_level", "open_level"),
+        "shadow": ("api.library.arrays", "shadow"),
+        "sun_hours": ("api.library.arrays", "sun_hours_of_array"),
+        "sunlit": ("shadows.sweep.grid", "sunlit"),
+    }
+
+    def __getattr__(name: str) -> object:
+        if name not in _SOURCES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        module, attribute = _SOURCES[name]
+        value = globals()[name] = getattr(import_module(module), attribute)
+        return value
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})
+
 
 __all__ = ["OpenLevel", "SkuggaError", "horizon", "open_heights", "open_level", "shadow", "sun_hours", "sunlit"]
 
-try:
-    import api.library.accessor  # noqa: F401  # registers ``da.skugga``
-except ImportError:  # without xarray, rioxarray
-    pass
+register_accessor()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -26,11 +25,6 @@ def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfil
 def calibration() -> DeviceProfile | None:
     """The calibration of the device that this process draws with; ``None`` where there is none, or no OpenGL."""
     return load_profile(*gl.renderer_and_version())
-
-
-def digest_of(device: DeviceProfile | None) -> str:
-    """What changes with a calibration; empty where there is none."""
-    return "" if device is None else hashlib.sha256(device.model_dump_json().encode()).hexdigest()[:16]
 
 
 def format_calibration(profile: DeviceProfile, path: Path) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from math import floor
 
-from selector.film import MOST_FRAMES, FilmSpan
+from selector.film_request import MOST_FRAMES, FilmSpan
 from terrain.errors import MISSING_VALUE, Fault, InputError
 from terrain.level.camera_file import CameraPathSpec
 from terrain.level.durations import DURATION_WORDS, parse_duration

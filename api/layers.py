@@ -1,4 +1,7 @@
-"""Layers of a frame and their files: the same for the command line and HTTP. A layer is a record in ``LAYERS``, and no more."""
+"""Layers of a frame and their files: the same for the command line and HTTP. A layer is a record in ``LAYERS``, and no more.
+
+What draws and what writes is imported where it is used: the names of layers are options of commands and parameters of HTTP.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +13,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
 import numpy as np
-from PIL import Image
 
 from api.png import encode_png
 from api.terrain_encodings import terrain_rgb, terrarium
 from shadows.passes import PassLayer
-from shadows.render import Frame
 from terrain.errors import InputError
-from terrain.geo.grid import MapView
-from terrain.scene import Scene
 from terrain.whole_files import write_whole
+
+if TYPE_CHECKING:
+    from shadows.render import Frame
+    from terrain.scene import Scene
 
 PASS_LAYERS: frozenset[PassLayer] = frozenset(get_args(PassLayer))
 """Layers that an algorithm leaves behind, if it is told beforehand to keep them."""
@@ -150,6 +153,8 @@ def _heights(encoding: HeightEncoding) -> Callable[[Scene, Frame], np.ndarray]:
 
 def _depth(scene: Scene, frame: Frame) -> np.ndarray:
     """float32, metres: in a map straight down from the level's highest ground, else along the view's axis from the eye."""
+    from terrain.geo.grid import MapView
+
     view = frame.view
     if isinstance(view, MapView):
         return np.where(frame.there, scene.height_range_m[1] - frame.height_m, np.nan).astype(np.float32)
@@ -158,6 +163,8 @@ def _depth(scene: Scene, frame: Frame) -> np.ndarray:
 
 def _position(scene: Scene, frame: Frame) -> np.ndarray:
     """float64 (rows, cols, 3): x and y in the view's CRS (of a perspective view, that of the level's maps), and the height."""
+    from terrain.geo.grid import MapView
+
     view = frame.view
     out = np.full((view.rows, view.cols, 3), np.nan)
     row, col = np.nonzero(frame.there)
@@ -312,6 +319,8 @@ def encode_picture(array: np.ndarray, suffix: str) -> bytes:
     """PNG, lossless WebP or JPEG (of opaque colour) of a picture layer (RGB, RGBA or gray)."""
     if suffix == ".png":
         return encode_png(array)
+    from PIL import Image
+
     out = io.BytesIO()
     image = Image.fromarray(array)
     if suffix == ".webp":
@@ -350,6 +359,8 @@ def geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
     from rasterio.errors import NotGeoreferencedWarning
     from rasterio.io import MemoryFile
     from rasterio.transform import from_bounds
+
+    from terrain.geo.grid import MapView
 
     bands = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)
     where = {}

@@ -12,9 +12,8 @@ from pyproj import CRS
 from api.errors import NotServedError
 from api.workers.block_tiles import TILE_PX
 from terrain.cache import MIB, cached
-from terrain.geo.grid import MapView, crs_of_tiles, tile_grid
+from terrain.geo.grid import MapView, crs_of_tiles, step_at_anchor_m, tile_grid
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transformer
-from terrain.ground.surface import step_at_anchor_m
 
 LEVEL_TILES = 0.5
 """A level's longest side at the first zoom, about, in tiles."""

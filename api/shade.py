@@ -19,17 +19,12 @@ from pyproj import CRS
 from rasterio.errors import RasterioError
 
 from api.device_calibration import calibration_for
-from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
 from api.raster_file import RasterCells, RasterFile, cog
+from api.shade_layers import SHADE_LAYERS
 from selector.select import plan_of_view
-from shadows.ground_pictures import shown_map
-from shadows.plan import Plan
-from shadows.render import render_frame
-from shadows.sunlit_ground import cosine_of_incidence, sunlit_ground
 from terrain.errors import InputError, SourceError
 from terrain.gbuffer.bare_ground import forget_ground_before
-from terrain.geo.grid import Grid, MapView, blocks_of
-from terrain.ground.surface import step_at_anchor_m
+from terrain.geo.grid import Grid, MapView, blocks_of, step_at_anchor_m
 from terrain.level.parts import SunSpec
 from terrain.level.rasters import open_raster
 from terrain.scene import Scene
@@ -41,59 +36,6 @@ SQUARE = 1e-6
 
 MOST_CELLS = 2.0**40
 """Of a raster that is written."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShadeLayer:
-    """What a raster of shade may hold: ``about`` it, and how it lies in a file."""
-
-    about: str
-    make: Callable[[Scene, MapView, Plan], np.ndarray]
-    dtype: str = "float32"
-    bands: int = 1
-    nodata: float | None = float("nan")
-    smooth: bool = True
-
-
-def _visibility(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
-    found = sunlit_ground(scene, view, plan)
-    if found is None:
-        return render_frame(scene, view, plan).visibility
-    return np.where(found.there, found.lit.astype(np.float32), np.float32(np.nan))
-
-
-def _mask(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
-    visibility = _visibility(scene, view, plan)
-    classes = np.where(visibility < 0.5, MASK_SHADOW, MASK_LIT)
-    return np.where(np.isnan(visibility), MASK_NO_SURFACE, classes).astype(np.uint8)
-
-
-def _color(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
-    shown = shown_map(scene, view, plan)
-    return np.dstack([shown.color, np.where(shown.there, np.uint8(255), np.uint8(0))])
-
-
-def _shadow(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
-    out = np.zeros((view.rows, view.cols, 4), np.uint8)
-    out[..., 3] = shown_map(scene, view, plan).opacity
-    return out
-
-
-def _cosi(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
-    return cosine_of_incidence(scene, view)
-
-
-SHADE_LAYERS: dict[str, ShadeLayer] = {
-    "mask": ShadeLayer(
-        about=f"{MASK_SHADOW} shadow, {MASK_LIT} lit, {MASK_NO_SURFACE} no surface", make=_mask, dtype="uint8",
-        nodata=MASK_NO_SURFACE, smooth=False,
-    ),
-    "visibility": ShadeLayer(about="share of the sun that is seen, NaN where there is no surface", make=_visibility),
-    "cosi": ShadeLayer(about="cosine of the sun's angle of incidence on the ground", make=_cosi),
-    "color": ShadeLayer(about="shaded relief with cast shadows", make=_color, dtype="uint8", bands=4, nodata=None),
-    "shadow": ShadeLayer(about="black with the shadow as opacity", make=_shadow, dtype="uint8", bands=4, nodata=None),
-}  # fmt: skip
-"""Layers of rasters, by name."""
 
 
 def raster_view(

@@ -12,15 +12,15 @@ from api.contour_lines import write_contours
 from api.device_calibration import calibration_for
 from api.raster_file import cog
 from api.shade import transform_of
+from api.sun_quantities import QUANTITIES
 from selector.select import plan_of_view
 from shadows.plan import Plan
-from shadows.sun_hours.sun_hours import SunHours, SunRules, ground_extent, sun_hours
+from shadows.sun_hours.sun_hours import SunRules, ground_extent, sun_hours
 from shadows.sun_hours.suns import window_suns
 from terrain.errors import InputError
 from terrain.gbuffer.covered_nodes import WIDE_M, is_bare
 from terrain.geo.daily_windows import DailyWindow
-from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
-from terrain.ground.surface import step_at_anchor_m
+from terrain.geo.grid import BLOCK_PX, MapView, blocks_of, step_at_anchor_m
 from terrain.scene import Scene
 
 BLOCK_NODES = 2 * BLOCK_PX
@@ -32,15 +32,6 @@ LARGE_RASTER_CELLS = 16_000_000
 BLOCK_NODES_OF_LARGE = BLOCK_PX
 
 LEAST_BLOCK_NODES = 64
-
-QUANTITIES: dict[str, Callable[[SunHours], np.ndarray]] = {
-    "hours": lambda found: found.hours,
-    "first": lambda found: found.first,
-    "last": lambda found: found.last,
-    "longest": lambda found: found.longest,
-    "days": lambda found: found.days,
-}
-"""What a raster may hold, by name: float32, NaN where there is no surface (and of ``first`` and ``last`` no sun)."""
 
 
 def write_sun_hours(

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import datetime
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 from urllib.parse import urlencode
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from api.color_scale import ColorScale
-from api.sun_hours import QUANTITIES
-from shadows.plan import Plan
-from shadows.sun_hours.sun_hours import SunRules, sun_hours
+from api.sun_quantities import QUANTITIES
 from shadows.sun_hours.suns import window_suns
 from terrain.errors import UnsupportedError
-from terrain.gbuffer.covered_nodes import is_bare
 from terrain.geo.clock import clock_named
 from terrain.geo.daily_windows import DailyWindow, clock_text, readings_of, windows_asked
-from terrain.geo.grid import MapView
 from terrain.geo.world import World
-from terrain.scene import Scene
+
+if TYPE_CHECKING:
+    from shadows.plan import Plan
+    from terrain.geo.grid import MapView
+    from terrain.scene import Scene
 
 SUN_HOURS_LAYER = "sunhours"
 
@@ -79,6 +79,9 @@ def sun_hours_picture(scene: Scene, view: MapView, query: SunHoursQuery) -> np.n
     """A block of the layer as RGBA (rows, cols, 4). Raises ``InputError``, and ``UnsupportedError`` where anything stands on the
     ground: each sun would be a picture.
     """
+    from shadows.sun_hours.sun_hours import SunRules, sun_hours
+    from terrain.gbuffer.covered_nodes import is_bare
+
     if not is_bare(scene):
         raise UnsupportedError(
             "layer", SUN_HOURS_LAYER, "something stands on this level's ground: skugga sunhours writes it as a raster"

@@ -143,7 +143,8 @@ def sun_hours(rasters: Sequence[Path], folder: Path) -> None:
 
 def points(rasters: Sequence[Path], folder: Path) -> None:
     from api.catalogue import find_level
-    from api.point.report import PointQuery, point_report
+    from api.point.report import point_report
+    from api.point.values import PointQuery
     from terrain.level.level import load_level
     from terrain.scene import build_scene
 

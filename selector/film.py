@@ -8,13 +8,13 @@ Any other frame is, to the bit, the picture that ``render_frame`` makes of its m
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from datetime import datetime, timedelta
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
 
 import numpy as np
 
+from selector.film_request import MOST_FRAMES, FilmRequest
 from selector.formatting import format_list
 from selector.replanning import PlanTransition, Replanner, casting, choices_of, mixed_pictures
 from shadows.plan import Plan
@@ -24,58 +24,10 @@ from terrain.describe import describe
 from terrain.errors import InputError
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.level.camera_file import CameraPathSpec
 from terrain.level.parts import SunSpec
 from terrain.scene import MAX_PERSPECTIVE_PX, Scene
 
-MOST_FRAMES = 10_000
-"""Of a film: almost seven minutes at 25 a second."""
-
-ALONG_PATH = "path"
-"""What plans call the view of a camera that moves."""
-
 log = logging.getLogger("skugga")
-
-
-@dataclass(frozen=True)
-class FilmSpan:
-    """When a film plays: the number of its frames and the seconds between two of them, the date of the first one (``None``: the
-    sun rests), and what the clock of what moves shows there (``None``: what the level says).
-    """
-
-    frames: int
-    step_s: float
-    start: datetime | None = None
-    first_second: float | None = None
-
-    def time_of(self, number: int) -> datetime | None:
-        """The date and time of a frame."""
-        return None if self.start is None else self.start + timedelta(seconds=number * self.step_s)
-
-    @property
-    def length_s(self) -> float:
-        """From the first frame to the last one."""
-        return (self.frames - 1) * self.step_s
-
-
-@dataclass(frozen=True)
-class FilmRequest:
-    """What a film shows: one of the level's views, as ``Scene.view`` makes it of its parameters, or along a ``path`` what a camera
-    sees that moves. ``size`` is (width, height). ``overrides`` are what is asked of the shadows.
-    """
-
-    span: FilmSpan
-    view: str = "map"
-    path: CameraPathSpec | None = None
-    size: tuple[int, int] | None = None
-    bounds: tuple[float, float, float, float] | None = None
-    crs: str | None = None
-    overrides: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def view_name(self) -> str:
-        """What plans call the view."""
-        return self.view if self.path is None else ALONG_PATH
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, log
 
-from pydantic import BaseModel, ConfigDict, Field
-
 from selector.belief import Belief
 from selector.choices import Choice
 from selector.cost.cost_model import predicted_ms
@@ -28,6 +26,7 @@ from selector.expected_loss import Forecast
 from selector.planner.planner import Planner
 from selector.portfolio import portfolio
 from selector.ranking import CandidateFigures
+from selector.seen import Seen
 from shadows.plan import Step
 from shadows.truth.metrics import MOST_INTERIOR
 from terrain.level.algorithm_names import AlgorithmName
@@ -54,22 +53,6 @@ class PredictedChoice:
     def family(self) -> tuple[tuple[object, ...], ...]:
         """What it has in common with those that differ from it in settings alone: which algorithm draws what."""
         return tuple((step.algorithm, step.kinds) for step in self.steps)
-
-
-class Seen(BaseModel):
-    """What was seen of a choice, by its name: its error (as targets count it), what is wrong inside, and milliseconds; with the
-    standard deviations of their logarithms (``selector.cost.error_model.log_error``, ``log_interior``).
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    choice: str
-    error: float = Field(ge=0, le=1)
-    error_noise: float = Field(ge=0)
-    interior: float = Field(ge=0, le=1)
-    interior_noise: float = Field(ge=0)
-    ms: float = Field(ge=0)
-    ms_noise: float = Field(ge=0)
 
 
 @dataclass(frozen=True, eq=False)

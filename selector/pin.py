@@ -28,8 +28,9 @@ from shadows.plan import Plan
 from shadows.registry import NO_SHADOWS
 from terrain.errors import InputError, LevelError
 from terrain.facts.descriptor import Descriptor
-from terrain.level.level import SUN, is_level_raster
+from terrain.level.level import SUN
 from terrain.level.pin_scope import PinScope
+from terrain.level.rasters import is_level_raster
 from terrain.whole_files import write_whole
 
 POLICY_CHOSEN = ("map_size",)

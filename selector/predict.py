@@ -14,10 +14,11 @@ from selector.cost.device_profile import DeviceProfile
 from selector.cost.error_model import ErrorModel
 from selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
 from selector.formatting import format_duration, format_percent
-from selector.options import LightOptions, Seen, predicted_choices
+from selector.options import LightOptions, predicted_choices
 from selector.planner.advice import choices_by_rules
 from selector.planner.planner import Planner, planner_of
 from selector.ranking import RankingResult
+from selector.seen import Seen
 from shadows.algorithm import Reasoned
 from shadows.plan import Plan, Predicted, Target
 from shadows.registry import ALGORITHMS

@@ -18,7 +18,7 @@ from terrain.scene import Scene
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
-    from selector.options import Seen
+    from selector.seen import Seen
 
 UNCALIBRATED = "this device is not calibrated, so fixed rules choose (to get predictions, run skugga calibrate)"
 

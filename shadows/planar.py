@@ -25,9 +25,9 @@ drawn as such.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from moderngl import Framebuffer
 
 from shadows.algorithm import FEW_MAP_SIZES, Accuracy, Algorithm, Cost, Mark, ResolvedSettings, Search, SettingsRequest
 from shadows.maps.windows import POSITION_ERROR
@@ -50,6 +50,9 @@ from terrain.gl.device import Device, device
 from terrain.level.level import SUN, CasterKind
 from terrain.scene import Scene
 from terrain.trees.foliage import THRESHOLD, foliage
+
+if TYPE_CHECKING:
+    from moderngl import Framebuffer
 
 PASSES = ("receivers", "projected casters")
 

@@ -12,7 +12,7 @@ from shadows.sweep import sweep
 from shadows.truth import truth
 from shadows.volumes import shadow_volume
 from terrain.facts.descriptor import Descriptor
-from terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
+from terrain.level.algorithm_names import ALGORITHM_NAMES, REFERENCE_NAMES, AlgorithmName
 from terrain.level.level import CasterKind, Shadows
 
 MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sweep, truth, none)
@@ -26,6 +26,10 @@ def register_algorithm(algorithm: Algorithm) -> None:
     ALGORITHMS[algorithm.name] = algorithm
     if algorithm.name not in ALGORITHM_NAMES:
         ALGORITHM_NAMES.append(algorithm.name)
+    if algorithm.served and algorithm.name in REFERENCE_NAMES:
+        REFERENCE_NAMES.remove(algorithm.name)
+    if not algorithm.served and algorithm.name not in REFERENCE_NAMES:
+        REFERENCE_NAMES.append(algorithm.name)
 
 
 FALLBACK: AlgorithmName = shadow_map.ALGORITHM.name
@@ -38,11 +42,6 @@ NO_SHADOWS: AlgorithmName = none.ALGORITHM.name
 def selectable_algorithms() -> list[Algorithm]:
     """The algorithms among which the selector chooses: those that throw shadows, but for the reference."""
     return [each for each in ALGORITHMS.values() if each.passes and each.served]
-
-
-def served_algorithms() -> tuple[AlgorithmName, ...]:
-    """The names that a request over HTTP may ask for."""
-    return tuple(name for name, each in ALGORITHMS.items() if each.served)
 
 
 def algorithms_serving(parts: Iterable[Requirement]) -> list[AlgorithmName]:

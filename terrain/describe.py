@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from terrain.cache import MIB, cached
 from terrain.casters.clip_space import bend_px
@@ -22,9 +21,9 @@ from terrain.facts.visible_points import edge_share, ground_points, probes_in_ma
 from terrain.gbuffer.covered_nodes import PixelsShow, drawn_view, ground_pixels, halvings
 from terrain.gbuffer.ground_mesh import ground_mesh
 from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.geo.grid import BLOCK_PX, MapView, step_at_anchor_m
 from terrain.ground.elevation import Elevation
-from terrain.ground.surface import map_pixel_m, step_at_anchor_m
+from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 
 
@@ -199,6 +198,8 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
 @cached("scene", MIB)
 def _block_relief_m(elevation: Elevation, block_m: float, metres_per_unit: float) -> float:
     """The largest range of heights within a block's side anywhere on the level, from the overview."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
     overview = elevation.overview
     cell_m = elevation.cell_size_m(metres_per_unit) * 2**overview.level
     size = [int(np.clip(np.ceil(block_m / cell_m) + 1, 1, n)) for n in overview.heights_m.shape]

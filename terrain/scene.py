@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pyproj import CRS
@@ -16,15 +17,12 @@ from terrain.cache import MIB, cached, clear_scene_caches
 from terrain.errors import InputError, LevelError, SourceError
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.geo.grid import Grid, MapView, map_view
-from terrain.geo.light_space import LightSpace, light_space
 from terrain.geo.sun import Sun, position_at, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
 from terrain.ground.collar import collar_of
 from terrain.ground.elevation import Elevation
-from terrain.ground.generated_ground import generated_ground
 from terrain.ground.geolocate import Geolocator
 from terrain.ground.overview import command_for
-from terrain.ground.surface import Surface
 from terrain.level.bundled import BUNDLED
 from terrain.level.level import SUN, LoadedLevel
 from terrain.level.parts import MapSpec, PerspectiveSpec, StyleSpec, SunSpec
@@ -32,6 +30,10 @@ from terrain.lights import Lamp, LightPosition, light_position
 from terrain.own_sun import own_sun
 from terrain.scene_objects import SceneObjects
 from terrain.style import Style, style_of, styled
+
+if TYPE_CHECKING:
+    from terrain.geo.light_space import LightSpace
+    from terrain.ground.surface import Surface
 
 FEET_WARNING = (
     "x and y are in feet; heights without a unit are taken as metres: if these are feet, too, write terrain: {units: ft} or us-ft "
@@ -140,6 +142,8 @@ class Scene:
     @cached_property
     def light(self) -> LightSpace | None:
         """The sun's light space."""
+        from terrain.geo.light_space import light_space
+
         return None if self.sun is None else light_space(self.world, self.sun)
 
     @cached_property
@@ -202,6 +206,8 @@ class Scene:
 
     def surface(self, grid: Grid) -> Surface:
         """The ground on the nodes of a grid."""
+        from terrain.ground.surface import Surface
+
         return Surface(self.world, self.elevation, grid)
 
     @cached_property
@@ -353,8 +359,11 @@ def build_scene(loaded: LoadedLevel) -> Scene:
 
     Trees and meshes are read when they are first needed.
     """
-    terrain = loaded.level.terrain
-    made = None if terrain.source is not None else generated_ground(terrain)
+    terrain, made = loaded.level.terrain, None
+    if terrain.source is None:
+        from terrain.ground.generated_ground import generated_ground
+
+        made = generated_ground(terrain)
     name = loaded.source or f"{loaded.path}: terrain"
     water_m = None if loaded.level.water is None else loaded.level.water.level
     elevation = Elevation(

@@ -15,7 +15,6 @@ from terrain.ground.elevation import Elevation
 from terrain.ground.geolocate import Geolocator
 from terrain.level.level import CasterKind, LoadedLevel
 from terrain.lights import LampRig, lamp_rig
-from terrain.meshes.facets import creases, face_normals, faces_round
 from terrain.meshes.solids import Solids
 from terrain.trees.trees import Trees
 
@@ -97,6 +96,8 @@ class SceneObjects:
         """
         if self.solids is None:
             return np.zeros(0, np.float32)
+        from terrain.meshes.facets import creases, face_normals, faces_round
+
         vertices, triangles = self.solids.vertices_earth_m, self.solids.triangles
         faces, around = face_normals(vertices, triangles), faces_round(len(vertices), triangles)
         return creases(vertices, faces, triangles, around, CREASE_DISTANCE, np.ones(len(triangles), np.bool_))

@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 
 from terrain.compiled import compiled
 from terrain.geo.sun import Sun
@@ -152,6 +151,8 @@ def _most_rugged(world: World, elevation: Elevation, sun: Sun | None, cells: flo
     """Row and column of the middle of the square of so many cells a side with the most relief, from the overview; where the sun
     stands lower than at the anchor, relief counts for less.
     """
+    from scipy.ndimage import uniform_filter
+
     heights, factor = elevation.overview.heights_m.astype(np.float64), 2**elevation.overview.level
     known = np.isfinite(heights)
     side = max(round(cells / factor), 3)

@@ -22,7 +22,8 @@ from api.layers import encode_picture, picture_layer
 from api.settings import Settings
 from api.workers.block_tiles import PicturedBlock, encoded_tiles
 from api.workers.jobs import BlockJob, BlockTiles, DescribedPlanJob, DescriptorJob, PlanAnswer, PlanJob, Ready, Snapshot
-from api.workers.render_worker import WorkerConfig, WorkerState, run_job
+from api.workers.render_worker import WorkerState, run_job
+from api.workers.worker_main import WorkerConfig
 from selector.candidates import name_of
 from shadows.maps.settings import ShadowMapSettings
 from terrain.describe import describe

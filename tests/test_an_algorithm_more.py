@@ -39,7 +39,7 @@ from shadows.algorithm import (
     SettingsRequest,
 )
 from shadows.plan import Plan
-from shadows.registry import ALGORITHMS, algorithms_serving, register_algorithm, served_algorithms
+from shadows.registry import ALGORITHMS, algorithms_serving, register_algorithm
 from shadows.render import render_frame
 from shadows.truth.truth import lit_from, ray_scene
 from shadows.work import Work, Workload
@@ -47,7 +47,7 @@ from terrain.cache import Cache, Missing, caches, clear_caches
 from terrain.describe import describe
 from terrain.errors import LevelError, UnsupportedError
 from terrain.facts.descriptor import Descriptor
-from terrain.level.algorithm_names import ALGORITHM_NAMES
+from terrain.level.algorithm_names import ALGORITHM_NAMES, served_algorithms
 from terrain.level.level import SUN, load_level
 from terrain.scene import Scene, build_scene
 

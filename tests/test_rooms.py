@@ -101,6 +101,7 @@ MAY_IMPORT = {
     "api.settings": "",
     "api.shadow_parameters": "",
     "api.catalogue": "",
+    "api.level_summary": "",
     "api.report": "",
     "api.point": "",
     "api.raster_file": "",
@@ -108,11 +109,13 @@ MAY_IMPORT = {
     "api.stac_item": "raster_file",
     "api.film_span": "",
     "api.film_files": "png",
-    "api.shade": "device_calibration layers raster_file",
+    "api.shade_layers": "layers",
+    "api.shade": "device_calibration raster_file shade_layers",
     "api.contour_lines": "",
     "api.color_scale": "",
-    "api.sun_hours_layer": "color_scale sun_hours",
-    "api.sun_hours": "contour_lines device_calibration raster_file shade",
+    "api.sun_quantities": "",
+    "api.sun_hours_layer": "color_scale sun_quantities",
+    "api.sun_hours": "contour_lines device_calibration raster_file shade sun_quantities",
     "api.device_calibration": "report",
     "api.map_probing": "",
     "api.file_stamps": "",
@@ -126,8 +129,9 @@ MAY_IMPORT = {
         "workers"
     ),
     "api.cli": (
-        "catalogue device_calibration errors file_stamps film_files film_span http layers map_probing matrices overviews point "
-        "raster_file report seed settings shade shadow_parameters stac_item sun_hours workers"
+        "catalogue device_calibration errors file_stamps film_files film_span http layers level_summary map_probing "
+        "matrices overviews point raster_file report seed settings shade shade_layers shadow_parameters stac_item sun_hours "
+        "sun_quantities workers"
     ),
 }
 """Room, or module beside the rooms -> those of its own floor that it imports. Floors below are open to all."""

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from typing import Any
 
+from api.cli.progress import Advance, ProgressBar
 from api.settings import cores
 from terrain.compiling.ahead import PRODUCTS, compile_ahead
 
-ProgressBar = Callable[[str], Any]
-"""Makes a progress bar for a task: a context manager that yields ``advance(done, total)``."""
 
-
-def compile_for_command(products: Sequence[str], progress_bar: ProgressBar) -> int:
+def compile_for_command(products: Sequence[str]) -> int:
     """Compile the loops that a command misses; return how many those were."""
-    bars: list[Any] = []
+    bars: list[Advance] = []
     total_loops = 0
     with ExitStack() as stack:
 
@@ -24,17 +21,17 @@ def compile_for_command(products: Sequence[str], progress_bar: ProgressBar) -> i
             nonlocal total_loops
             total_loops = total
             if not bars:
-                bars.append(stack.enter_context(progress_bar(f"First run: {task}")))
+                bars.append(stack.enter_context(ProgressBar(f"First run: {task}")))
             bars[0](done, total)
 
         compile_ahead(products, cores(), report)
     return total_loops
 
 
-def compile_everything(progress_bar: ProgressBar) -> str:
+def compile_everything() -> str:
     """Compile all loops that are stored nowhere; return what was done, in a sentence."""
     start = clock.perf_counter()
-    count = compile_for_command(PRODUCTS, progress_bar)
+    count = compile_for_command(PRODUCTS)
     from terrain.compiling.loop_cache import loop_store
 
     store = loop_store()

@@ -19,7 +19,8 @@ from api.cli.warnings import say_own_sun, say_warnings
 from api.device_calibration import calibration_for
 from api.film_files import check_film_path, film_files, write_film
 from api.film_span import USUAL_FPS, film_span
-from selector.film import FilmFrame, FilmRequest, film_frames, frame_moments
+from selector.film import FilmFrame, film_frames, frame_moments
+from selector.film_request import FilmRequest
 from selector.replanning import Replanner
 from terrain.errors import InputError, printable
 from terrain.level.camera_file import load_camera_path

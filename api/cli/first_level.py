@@ -10,9 +10,10 @@ from typing import Any
 from api.cli.outputs import check_targets
 from api.cli.warnings import say_warnings
 from terrain.errors import InputError
-from terrain.level.level import is_level_raster, load_level
+from terrain.level.level import load_level
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import PerspectiveSpec, SunSpec
+from terrain.level.rasters import is_level_raster
 from terrain.scene import Scene, build_scene
 from terrain.viewpoint import good_view
 from terrain.whole_files import write_whole

@@ -5,20 +5,29 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from api.catalogue import find_level
+from api.cli.completion import complete_level, complete_words
 from terrain.errors import InputError
-from terrain.level.level_source import LevelSource, units_named
 
-_LEVEL = Annotated[str, typer.Argument(metavar="LEVEL", help="A bundled level's name, a level file, or a raster of heights.")]
+if TYPE_CHECKING:
+    from terrain.level.level_source import LevelSource
+
+_LEVEL = Annotated[
+    str,
+    typer.Argument(
+        metavar="LEVEL", help="A bundled level's name, a level file, or a raster of heights.", autocompletion=complete_level
+    ),
+]
 _LEVELS = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[LEVEL]...",
         help="Level files, rasters, names, or archives of tiles (.pmtiles); without --levels: all bundled levels by default.",
+        autocompletion=complete_level,
     ),
 ]
 
@@ -28,7 +37,12 @@ _OPTIONS: dict[str, Any] = {
     ],
     "buildings": Annotated[Path | None, typer.Option(metavar="FILE", help="Buildings on a raster: footprints with heights.")],
     "nodata": Annotated[float | None, typer.Option(metavar="VALUE", help="A raster's value of cells without a height.")],
-    "units": Annotated[str | None, typer.Option(metavar="UNIT", help="Unit of a raster's heights: m, ft or us-ft.")],
+    "units": Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT", help="Unit of a raster's heights: m, ft or us-ft.", autocompletion=complete_words(["m", "ft", "us-ft"])
+        ),
+    ],
 }
 
 
@@ -36,7 +50,8 @@ def takes_level(function: Callable[..., None]) -> Callable[..., None]:
     """Decorate a command whose first parameter is ``level: LevelSource`` or ``levels: list[LevelSource]``: LEVEL is looked up for
     it, with the options of a raster, which come last.
     """
-    signature = inspect.signature(function, eval_str=True)
+    # What the first parameter is annotated with is not shown, and need not be imported for it: anything stands for it.
+    signature = inspect.signature(function, eval_str=True, locals={"LevelSource": Any})
     first, *others = signature.parameters.values()
     shown = first.replace(annotation=_LEVEL) if first.name == "level" else first.replace(annotation=_LEVELS, default=None)
     options = [
@@ -63,4 +78,6 @@ def _find_all(names: list[str] | None, asked: dict[str, Any]) -> list[LevelSourc
 
 
 def _find(name: str, asked: dict[str, Any]) -> LevelSource:
+    from terrain.level.level_source import LevelSource, units_named
+
     return LevelSource(path=find_level(name), **{**asked, "units": units_named("--units", asked["units"])})

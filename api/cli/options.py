@@ -7,7 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
+from api.cli.completion import complete_words
 from api.shadow_parameters import FunctionT, takes_settings
+from terrain.level.algorithm_names import ALGORITHM_NAMES
 from terrain.level.level import Shadows, parse_algorithm
 from terrain.level.setting import FrontEnd, Setting, settings_of
 
@@ -34,4 +36,5 @@ def _option(setting: Setting) -> Any:
     if setting.allowed:
         about = f"{about.removesuffix('.')} ({setting.allowed})."
     of_type: Any = setting.plain_type
-    return Annotated[of_type | None, typer.Option(help=about)]
+    words = ["auto", *ALGORITHM_NAMES] if setting.name == "algorithm" else setting.words
+    return Annotated[of_type | None, typer.Option(help=about, autocompletion=complete_words(words))]

@@ -19,16 +19,9 @@ from api.cli.outputs import check_targets
 from api.cli.warnings import say_warnings
 from api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
 from api.point.polar_picture import sky_picture
-from api.point.report import (
-    PointQuery,
-    PointReport,
-    ReportedCaster,
-    around_point,
-    clock_asked,
-    day_asked,
-    point_report,
-)
-from api.point.track import PointAnswerRow, TrackPoint, read_points, read_track, sun_at_points, with_arrivals
+from api.point.report import around_point, clock_asked, day_asked, point_report
+from api.point.track import read_points, read_track, sun_at_points, with_arrivals
+from api.point.values import PointAnswerRow, PointQuery, PointReport, ReportedCaster, TrackPoint
 from shadows.point.horizon import Surroundings, horizon_round
 from terrain.compiling.ahead import POINTS
 from terrain.compiling.hooks import need

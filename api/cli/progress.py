@@ -1,10 +1,61 @@
-"""What long work shows: a line for each part that is done, with a bar and the time left below on a terminal."""
+"""Progress of long work: bars and spinners on a terminal, lines elsewhere. Their library is imported when one is shown."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from typing import TYPE_CHECKING
+
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
+
+
+Advance = Callable[[int, int], None]
+"""Called with how many blocks, or other parts, are done, and of how many."""
+
+
+@contextmanager
+def spinner(task: str) -> Iterator[None]:
+    """Show a sign of life on a terminal, for work that does not tell how far it is."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(task):
+        yield
+
+
+class ProgressBar:
+    """A bar on a terminal for work of more than a few blocks; silent elsewhere. ``with`` gives what is called for each block."""
+
+    def __init__(self, task: str) -> None:
+        self._title = task
+        self._bar: tuple[Progress, TaskID] | None = None
+
+    def __enter__(self) -> Advance:
+        return self._advance
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar[0].stop()
+
+    def _advance(self, done: int, total: int) -> None:
+        if total < 4 or not sys.stderr.isatty():
+            return
+        if self._bar is None:
+            from rich.console import Console
+            from rich.progress import Progress
+
+            progress = Progress(console=Console(stderr=True), transient=True)
+            self._bar = progress, progress.add_task(self._title, total=total)
+            progress.start()
+        self._bar[0].update(self._bar[1], completed=done)
 
 
 class LinesOverBar:
@@ -13,7 +64,12 @@ class LinesOverBar:
     def __init__(self, task: str) -> None:
         self._task = task
         self._bar: tuple[Progress, TaskID] | None = None
-        self._console = Console(stderr=True)
+
+    @cached_property
+    def _console(self) -> Console:
+        from rich.console import Console
+
+        return Console(stderr=True)
 
     def __enter__(self) -> LinesOverBar:
         return self
@@ -44,6 +100,8 @@ class LinesOverBar:
         if not self.on_terminal:
             return
         if self._bar is None:
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
             columns = TextColumn(self._task), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
             progress = Progress(*columns, console=self._console, transient=True)
             self._bar = progress, progress.add_task("", total=total)

@@ -31,8 +31,8 @@ from api.settings import cores
 from api.workers.block_tiles import BLOCK_TILES
 from api.workers.jobs import RequestedSettings
 from selector.formatting import format_duration
-from shadows.registry import served_algorithms
 from terrain.errors import InputError
+from terrain.level.algorithm_names import served_algorithms
 from terrain.level.level import parse_algorithm, parse_sun
 from terrain.level.level_source import LevelSource
 

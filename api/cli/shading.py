@@ -10,7 +10,8 @@ from api.cli.outputs import check_targets
 from api.cli.times import paths_by_time
 from api.cli.warnings import say_own_sun, say_warnings
 from api.raster_file import RasterCells
-from api.shade import SHADE_LAYERS, Bounds, raster_view, write_shade
+from api.shade import Bounds, raster_view, write_shade
+from api.shade_layers import SHADE_LAYERS
 from api.stac_item import read_stac_item
 from terrain.compiling.ahead import MAPS_OF_CASTERS, MASKS
 from terrain.compiling.hooks import need

@@ -11,7 +11,8 @@ from api.cli.shading import SUFFIXES
 from api.cli.times import duration_of
 from api.cli.warnings import say_warnings
 from api.shade import Bounds, raster_view
-from api.sun_hours import QUANTITIES, write_sun_hours
+from api.sun_hours import write_sun_hours
+from api.sun_quantities import QUANTITIES
 from shadows.sun_hours.sun_hours import SunRules
 from terrain.compiling.ahead import SUN_HOURS
 from terrain.compiling.hooks import need

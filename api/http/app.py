@@ -47,7 +47,7 @@ from api.workers.idle_calibration import measured_profile
 from api.workers.idle_probes import Probe, probed_level
 from api.workers.jobs import LevelKey
 from api.workers.pool import Pool
-from api.workers.render_worker import worker_main
+from api.workers.worker_main import worker_main
 from api.workers.worker_process import WorkerTarget
 from selector.cost.device_profile import DeviceProfile
 from terrain.level.level_source import LevelSource

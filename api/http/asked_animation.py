@@ -15,7 +15,7 @@ from api.http.parameters import served_settings, style_named
 from api.http.served_levels import ServedLevel
 from api.settings import Settings
 from api.workers.jobs import PictureRequest
-from selector.film import ALONG_PATH, FilmSpan
+from selector.film_request import ALONG_PATH, FilmSpan
 from terrain.errors import Fault, InputError
 from terrain.geo.sun_path import as_utc, check_times
 from terrain.level.camera_file import CameraPathSpec

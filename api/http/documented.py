@@ -27,6 +27,9 @@ UNFORESEEN = {500}
 
 PROBLEM = {"$ref": f"#/components/schemas/{Problem.__name__}"}
 
+PLAN_DOCS: Answers = {200: {"content": {"application/json": {"schema": {"$ref": "#/components/schemas/Plan"}}}}}
+"""A plan. Its schema is that of all algorithms' settings, so it is imported when the document is made (``openapi``)."""
+
 LevelPath = Annotated[str, Path(description="A level by its name, as `/levels` lists them.", examples=["jacksboro"])]
 MatrixSetPath = Annotated[
     str,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 from urllib.parse import quote, urlencode
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from api.http.archive_file import ArchiveFile
@@ -37,6 +37,7 @@ def _completed(document: dict[str, Any], service: Service) -> dict[str, Any]:
     document = with_bounds(document)
     schemas = document["components"]["schemas"]
     schemas[Problem.__name__] = Problem.model_json_schema(mode="serialization")
+    schemas |= _plan_schemas()
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
     for path, operations in document["paths"].items():
@@ -52,6 +53,16 @@ def _completed(document: dict[str, Any], service: Service) -> dict[str, Any]:
     if token:
         document["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
     return document
+
+
+def _plan_schemas() -> dict[str, Any]:
+    """The schemas of a plan and of all that it is made of, by name: those of a route that answers with one."""
+    from shadows.plan import Plan
+
+    router = APIRouter()
+    router.add_api_route("/plan", lambda: None, response_model=Plan)
+    found: dict[str, Any] = get_openapi(title="", version="", routes=router.routes)["components"]["schemas"]
+    return found
 
 
 def _with_whole_statuses(answers: dict[str, Any]) -> dict[int | str, Any]:

@@ -18,8 +18,8 @@ from api.layers import BETWEEN_LAYERS, LAYERS, MAP_LAYERS, PICTURE_LAYERS, ViewL
 from api.shadow_parameters import takes_settings
 from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery, SunQuantity
 from api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
-from shadows.registry import served_algorithms
 from terrain.errors import MISSING_VALUE, Fault, InputError
+from terrain.level.algorithm_names import served_algorithms
 from terrain.level.level import parse_algorithm
 from terrain.level.parts import StyleName, SunSpec
 from terrain.level.setting import Setting

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Body, Depends, Query, Request, Response
 
 from api.errors import NotServedError
 from api.http.answers import json_answer
-from api.http.documented import WORK_ERRORS, Answers, LevelPath, problem_docs
+from api.http.documented import PLAN_DOCS, WORK_ERRORS, Answers, LevelPath, problem_docs
 from api.http.moments import time_headers
 from api.http.numbers import PLAIN_WHOLE
 from api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
@@ -18,7 +18,6 @@ from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from api.http.service import TheService
 from api.matrices import matrix_set_of
 from api.workers.jobs import DescribedPlanJob, DescriptorAnswer, DescriptorJob, PictureRequest, PlanAnswer, PlanJob, Tiles
-from shadows.plan import Plan
 from terrain.errors import InputError
 from terrain.facts.descriptor import Descriptor
 from terrain.level.parts import SunSpec
@@ -49,8 +48,8 @@ VIEW_PARAMETERS = ("view", "zoom", "tms")
 @router.get(
     "/levels/{level}/plan",
     summary="The plan of a view",
-    response_model=Plan,
-    responses=NOT_CHANGED,
+    response_model=None,
+    responses=PLAN_DOCS | NOT_CHANGED,
     dependencies=[Depends(allow_only(*VIEW_PARAMETERS, *SUN_PARAMETERS, *PLAN_PARAMETERS))],
 )
 async def plan(
@@ -101,8 +100,8 @@ async def descriptor(
 @router.post(
     "/plan",
     summary="The plan of a descriptor",
-    response_model=Plan,
-    responses=problem_docs(413),
+    response_model=None,
+    responses=PLAN_DOCS | problem_docs(413),
     dependencies=[Depends(allow_only(*PLAN_PARAMETERS))],
 )
 async def plan_of_descriptor(

@@ -17,10 +17,9 @@ from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE
 from api.http.parameters import TimeQuery, allow_only
 from api.http.service import Service, TheService
 from api.point.horizon_formats import HORIZON_FORMATS
-from api.point.report import PointQuery, PointReport, ReportedMoment
-from api.point.track import MAX_POINTS, TrackPoint
+from api.point.values import MAX_POINTS, PointQuery, PointReport, ReportedMoment, TrackPoint
 from api.workers.jobs import PictureRequest, PointAnswer, PointJob, PointProduct, PointsJob
-from shadows.point.place import HIGHEST_EYE_M
+from shadows.point.terms import HIGHEST_EYE_M
 from terrain.errors import InputError
 from terrain.geo.sun_path import as_utc, check_times
 from terrain.level.parts import SunSpec

@@ -42,7 +42,7 @@ from api.http.wms_capabilities import (
     wms_capabilities,
 )
 from api.layers import MAP_MEDIA_TYPES
-from api.point.report import PointQuery
+from api.point.values import PointQuery
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from api.workers.block_tiles import map_formats_of
 from api.workers.jobs import PictureRequest, PointJob

@@ -20,15 +20,16 @@ from api.layers import BETWEEN_LAYERS, MAP_LAYERS, PICTURE_LAYERS
 from api.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from api.workers.jobs import LevelKey
-from shadows.registry import served_algorithms
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError, printable
 from terrain.geo.sun import Sun, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.level.algorithm_names import served_algorithms
 from terrain.level.data_roots import DataRoots
-from terrain.level.level import LEVEL_SUFFIXES, SUN, LoadedLevel, expand_override, lights_named, load_level
+from terrain.level.level import SUN, LoadedLevel, expand_override, lights_named, load_level
 from terrain.level.level_source import LevelSource
 from terrain.level.linked_files import is_remote
 from terrain.level.parts import SunSpec
+from terrain.level.rasters import LEVEL_SUFFIXES
 from terrain.scene import Scene, build_scene, with_own_sun
 from terrain.style import STYLES
 
@@ -277,10 +278,9 @@ class ServedLevels:
             if settings.fit == "tight":
                 allowed = "auto or stable in a served level: tiles with a tight fit do not join"
                 raise LevelError(f"{path}: {key}.fit", "tight", allowed)
-        # Without its sun: a time needs the sun's library, which the service may never need.
         files = watched_files(loaded)
         stamps = file_stamps(files)  # before they are read: what changes meanwhile is seen at the next look
-        scene = build_scene(loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": "none"})}))
+        scene = build_scene(loaded.without_sun)
         try:
             return _served(with_own_sun(loaded, scene.world, scene.elevation), origin, scene, files, stamps)
         finally:

@@ -39,7 +39,6 @@ WITHOUT_OPENGL = next(
 """The algorithm that heights alone suffice for: chunks are made in threads of dask's, and OpenGL has one thread."""
 
 
-@xarray.register_dataarray_accessor("skugga")  # type: ignore[no-untyped-call]
 class SkuggaAccessor:
     """Questions of sun to heights (y, x), metres, with a CRS by ``rio.write_crs``."""
 

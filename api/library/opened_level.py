@@ -20,10 +20,12 @@ from api.device_calibration import calibration_for
 from api.film_span import USUAL_FPS, film_span
 from api.layers import PASS_LAYERS, frame_layer
 from api.library.tile_service import TileService
-from api.point.report import PointQuery, PointReport, around_point, point_report
+from api.point.report import around_point, point_report
+from api.point.values import PointQuery, PointReport
 from api.shade import Bounds, raster_view, shade_array, transform_of
 from api.sun_hours import sun_hours_array
-from selector.film import FilmRequest, film_frames, frame_moments
+from selector.film import film_frames, frame_moments
+from selector.film_request import FilmRequest
 from selector.replanning import Replanner
 from selector.select import plan_of_view
 from shadows.point.horizon import PointHorizon, horizon_round
@@ -159,8 +161,10 @@ class OpenLevel:
         like: Path | None = None,
         **shadows: Any,
     ) -> np.ndarray:
-        """A raster of shade on the level's own cells, those of ``like``, or square ones of a ``resolution`` in ``crs``: one of
-        ``api.shade.SHADE_LAYERS``, (rows, cols), or (rows, cols, 4) of ``color`` and ``shadow``. The sun is as in ``render``.
+        """A raster of shade on the level's own cells, those of ``like``, or square ones of a ``resolution`` in ``crs``.
+
+        It is one of ``api.shade_layers.SHADE_LAYERS``: (rows, cols), or (rows, cols, 4) of ``color`` and ``shadow``. The sun is as
+        in ``render``.
 
         Raises ``SkuggaError``.
         """

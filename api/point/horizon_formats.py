@@ -9,14 +9,17 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from shadows.point.horizon import PointHorizon
-from shadows.point.place import PointPlace
 from terrain.errors import InputError
 
-Writer = Callable[[PointHorizon, PointPlace], str]
+if TYPE_CHECKING:
+    from shadows.point.horizon import PointHorizon
+    from shadows.point.place import PointPlace
+
+Writer = Callable[["PointHorizon", "PointPlace"], str]
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from datetime import UTC, date, datetime, tzinfo
-from typing import Annotated
 
 import numpy as np
-from pydantic import AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field
 from pyproj import CRS
 
+from api.point.values import DayHours, PointQuery, PointReport, ReportedCaster, ReportedDay, ReportedInterval, ReportedMoment
 from shadows.point.clock import clock_of
-from shadows.point.horizon import CasterType, SunCaster, Surroundings, surroundings, what_hides
-from shadows.point.place import HIGHEST_EYE_M, POINT, place_at
+from shadows.point.horizon import SunCaster, Surroundings, surroundings, what_hides
+from shadows.point.place import POINT, place_at
 from shadows.point.sun_angles import own_sun_at
 from shadows.point.sun_day import SunDay, sun_day
 from shadows.point.sun_year import sun_year
@@ -19,110 +18,8 @@ from terrain.errors import InputError
 from terrain.geo.sun_path import check_date
 from terrain.scene import Scene
 
-_Date = date  # under this name the models' own fields leave it alone
-
 FLAT = "an engineering CRS is not georeferenced: there is no day without longitude and latitude"
 NO_SUN = "the level has no sun of its own: give a time"
-
-
-class _Reported(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-def _rounded(digits: int) -> BeforeValidator:
-    return BeforeValidator(lambda value: None if value is None else round(float(value), digits))
-
-
-RoundDegrees = Annotated[float, _rounded(3)]
-RoundMetres = Annotated[float, _rounded(2)]
-RoundHours = Annotated[float, _rounded(4)]
-LonLatDegrees = Annotated[float | None, _rounded(7)]
-
-
-class PointQuery(_Reported):
-    """What is asked of a point: its coordinates (longitude and latitude; in a flat world metres east and north of the middle),
-    metres above the ground, a day and the clock that tells it, and the year whose hours by day are wanted. ``now`` lies in the day
-    that is meant where neither the query nor the level's sun has one (``None``: the clock of this machine says).
-    """
-
-    lon: float = Field(allow_inf_nan=False)
-    lat: float = Field(allow_inf_nan=False)
-    height: float = Field(default=0.0, ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False)
-    date: _Date | None = None
-    clock: str | None = Field(default=None, max_length=60)
-    year: int | None = Field(default=None, ge=1800, le=2200)
-    now: AwareDatetime | None = None
-
-
-class ReportedCaster(_Reported):
-    """What hides the sun: its kind, distance along the ground, direction, angle above the eye's level, and place."""
-
-    kind: CasterType
-    distance_m: RoundMetres
-    azimuth: RoundDegrees
-    elevation: RoundDegrees
-    height_m: RoundMetres
-    lon: LonLatDegrees
-    lat: LonLatDegrees
-
-
-class ReportedMoment(_Reported):
-    """The sun at a moment: where it stands, whether it shines on the point, and if not, what hides it; ``by`` is null by night."""
-
-    time: datetime | None
-    azimuth: RoundDegrees
-    altitude: RoundDegrees
-    lit: bool
-    by: ReportedCaster | None
-
-
-class ReportedInterval(_Reported):
-    """Direct sun from ``begin`` to ``end``; what hid it before (``after``) and hides it then (``before``)."""
-
-    begin: datetime
-    end: datetime
-    after: ReportedCaster | None
-    before: ReportedCaster | None
-
-
-class ReportedDay(_Reported):
-    """A day's sun: see ``shadows.point.sun_day.SunDay``."""
-
-    date: _Date
-    clock: str
-    sunrise: datetime | None
-    first_sun: datetime | None
-    last_sun: datetime | None
-    sunset: datetime | None
-    noon: datetime
-    noon_altitude: RoundDegrees
-    daylight_h: RoundHours
-    direct_h: RoundHours
-    masked_h: RoundHours
-    sunlit: tuple[ReportedInterval, ...]
-    remark: str | None
-
-
-class DayHours(_Reported):
-    """RoundHours of a day for which the sun is up, and shines on the point."""
-
-    date: _Date
-    daylight_h: RoundHours
-    direct_h: RoundHours
-
-
-class PointReport(_Reported):
-    """What a point sees of the sun. Where ``elevation_m``, ``now`` or ``day`` is null, ``remark`` says why."""
-
-    level: str
-    lon: LonLatDegrees
-    lat: LonLatDegrees
-    elevation_m: Annotated[float | None, _rounded(2)]
-    height_m: RoundMetres
-    now: ReportedMoment | None
-    day: ReportedDay | None
-    year: tuple[DayHours, ...] | None
-    remark: str | None
 
 
 def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> PointReport:

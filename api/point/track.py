@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import shapely
 
-from api.point.report import PointQuery, ReportedMoment, around_point, clock_asked, day_asked, sun_now
+from api.point.report import around_point, clock_asked, day_asked, sun_now
+from api.point.values import MAX_POINTS, PointAnswerRow, PointQuery, TrackPoint
 from shadows.point.sun_angles import sun_directions
 from shadows.point.sun_day import hours_between_looks
 from terrain.errors import InputError, SourceError
@@ -21,41 +21,8 @@ from terrain.geo.world import LONGITUDE_LATITUDE, WGS84
 from terrain.level.level import parse_sun
 from terrain.scene import Scene
 
-MAX_POINTS = 10_000
-"""Most points of a request or a file."""
-
 TIME_FIELDS, HEIGHT_FIELDS = ("time", "arrival", "datetime"), ("height", "height_m")
 LON_FIELDS, LAT_FIELDS = ("lon", "longitude", "lng", "x"), ("lat", "latitude", "y")
-
-
-@dataclass(frozen=True)
-class TrackPoint:
-    """A point in degrees, metres above the ground, and when somebody is there (``None``: whenever is asked)."""
-
-    lon_deg: float
-    lat_deg: float
-    height_m: float = 0.0
-    time: datetime | None = None
-
-
-@dataclass(frozen=True)
-class PointAnswerRow:
-    """What a point of many sees: ``remark`` says why the rest is ``None``."""
-
-    elevation_m: float | None
-    now: ReportedMoment | None
-    direct_h: float | None
-    remark: str | None
-
-    def as_json(self, point: TrackPoint) -> dict[str, Any]:
-        """The row of a point as JSON has it."""
-        return {
-            "lon": point.lon_deg, "lat": point.lat_deg, "height_m": point.height_m,
-            "time": None if point.time is None else point.time.isoformat(),
-            "elevation_m": None if self.elevation_m is None else round(self.elevation_m, 2),
-            "now": None if self.now is None else self.now.model_dump(mode="json"),
-            "direct_h": None if self.direct_h is None else round(self.direct_h, 4), "remark": self.remark,
-        }  # fmt: skip
 
 
 def read_points(path: Path, height_m: float = 0.0) -> list[TrackPoint]:

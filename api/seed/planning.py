@@ -31,6 +31,7 @@ from terrain.errors import InputError, NoOpenGLError, RenderError, UnsupportedEr
 from terrain.geo.grid import tile_grid
 from terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from terrain.gl import device as gl
+from terrain.gl.egl_devices import NO_OPENGL
 from terrain.level.level import LoadedLevel, load_level
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
@@ -85,7 +86,7 @@ def renderer_here() -> str:
     try:
         return gl.device().renderer
     except NoOpenGLError:
-        return gl.NO_OPENGL
+        return NO_OPENGL
 
 
 def plan_run(table: TaskTable, request: SeedRequest, say: Callable[[str], None]) -> PlannedRun:
@@ -186,7 +187,7 @@ def _own_sun(scene: Scene) -> Any:
 
 def _basis(level: LevelKey) -> PlanBasis:
     """What a service here would make plans by."""
-    if renderer_here() == gl.NO_OPENGL:
+    if renderer_here() == NO_OPENGL:
         return PlanBasis()
     probes = load_probes(probes_folder(*gl.renderer_and_version()) / f"{level.version}.json")
     return PlanBasis(calibration(), {level.version: probes.model_dump_json()})

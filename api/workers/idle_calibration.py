@@ -10,9 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from api.device_calibration import digest_of
 from api.workers.idle_work import IdleJob, IdleWork
-from selector.cost.device_profile import load_profile, profile_path, save_profile
+from selector.cost.device_profile import digest_of, load_profile, profile_path, save_profile
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile

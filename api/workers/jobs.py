@@ -12,11 +12,9 @@ from pydantic import BaseModel, ConfigDict, InstanceOf, field_validator
 
 from api.errors import OUTCOMES
 from api.layers import MapFormat, MapLayer, PictureFormat, ViewLayer
-from api.point.report import PointQuery
-from api.point.track import TrackPoint
+from api.point.values import PointQuery, TrackPoint
 from api.sun_hours_layer import SunHoursQuery
-from selector.film import FilmRequest, FilmSpan
-from selector.replanning import PlanState
+from selector.film_request import FilmRequest, FilmSpan
 from terrain.errors import InputError, RenderError, SkuggaError
 from terrain.level.camera_file import CameraPathSpec
 from terrain.level.level import Shadows, override, parse_algorithm
@@ -26,6 +24,7 @@ from terrain.level.parts import PerspectiveSpec, SlopeExaggeration, StyleName, S
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile
     from selector.map_probes import MapClass
+    from selector.replanning import PlanState
     from terrain.scene import Scene
 
 ServedPolicy = Literal["rules", "predict"]

@@ -15,8 +15,8 @@ from terrain.ground.surface import map_pixel_m
 
 if TYPE_CHECKING:
     from selector.choices import PlanRequest, PolicyName
-    from selector.options import Seen
     from selector.replanning import PlanFunction
+    from selector.seen import Seen
     from shadows.plan import Plan
     from terrain.facts.descriptor import Descriptor
     from terrain.scene import Scene

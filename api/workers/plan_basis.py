@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from api.device_calibration import digest_of
 from api.workers.jobs import LevelKey
+from selector.cost.device_profile import digest_of
 from terrain.cache import MIB, cached
 
 if TYPE_CHECKING:

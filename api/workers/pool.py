@@ -34,12 +34,12 @@ from api.workers.jobs import (
 )
 from api.workers.plan_basis import PlanBasis
 from api.workers.process_life import is_stopped
-from api.workers.render_worker import WorkerConfig, worker_main
 from api.workers.set_aside import SetAside
+from api.workers.worker_main import WorkerConfig, worker_main
 from api.workers.worker_process import WorkerProcess, WorkerTarget
 from terrain.cache import Cache, Missing
 from terrain.errors import BusyError, GraphicsError, RenderTimeoutError, SkuggaError
-from terrain.gl.device import NO_OPENGL
+from terrain.gl.egl_devices import NO_OPENGL
 
 if TYPE_CHECKING:
     from selector.cost.device_profile import DeviceProfile

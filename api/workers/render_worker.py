@@ -58,6 +58,7 @@ from api.workers.map_plans import plan_in_service, unprobed_class
 from api.workers.plan_basis import PlanBasis
 from api.workers.point_jobs import point_answer, points_answer
 from api.workers.process_life import end_with_parent, resident_bytes, stand_back
+from api.workers.worker_main import WorkerConfig
 from selector.choices import StandaloneRequest
 from selector.select import select
 from shadows.ground_pictures import ShownMap
@@ -103,23 +104,6 @@ MAX_PROCESS_BYTES = 3 * 2**30
 """Memory of a process beyond which it keeps only the level that it draws; with a software rasteriser it takes about 1.5 GB."""
 
 log = logging.getLogger("skugga.worker")
-
-
-@dataclass(frozen=True)
-class WorkerConfig:
-    """What a render process is told at its start. ``gl_threads`` are the threads of a software rasteriser. While it is idle it
-    prepares for the levels of ``first_blocks``, and it refuses pictures that are expected to take more than ``most_ms``. It does
-    not start without OpenGL where it ``needs_opengl``. Without a ``basis`` its plans go by the calibration in the user's cache,
-    until it is told another one. Of several OpenGL devices it takes that whose turn its ``number`` is.
-    """
-
-    gl_threads: int
-    expect_renderer: str | None = None
-    needs_opengl: bool = False
-    first_blocks: tuple[BlockJob, ...] = ()
-    most_ms: float | None = None
-    basis: PlanBasis | None = None
-    number: int = 0
 
 
 class SceneCache:
@@ -360,7 +344,7 @@ def _facts(plan: Plan, frame: Frame | ShownMap, state: WorkerState, level: Level
     }  # fmt: skip
 
 
-def worker_main(pipe: Connection, config: WorkerConfig) -> None:
+def run_worker(pipe: Connection, config: WorkerConfig) -> None:
     """Warm up, say so, then answer jobs until the pipe is closed or an error leaves OpenGL in doubt."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the service, which ends this process
     end_with_parent()

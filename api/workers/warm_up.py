@@ -20,6 +20,7 @@ from terrain.compiling.hooks import need
 from terrain.errors import GraphicsError, NoOpenGLError
 from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
 from terrain.gl import device as gl
+from terrain.gl.egl_devices import NO_OPENGL
 from terrain.level.level import Level, LoadedLevel
 from terrain.scene import Scene, build_scene
 
@@ -46,7 +47,7 @@ def warm_up(expect_renderer: str | None = None, needs_opengl: bool = False, say:
     Raises ``GraphicsError`` if OpenGL is missing that is needed or expected, is another renderer than expected, or draws wrongly.
     """
     need(MAPS)
-    renderer, algorithm = gl.NO_OPENGL, "auto"
+    renderer, algorithm = NO_OPENGL, "auto"
     try:
         renderer, algorithm = gl.device().renderer, FALLBACK
     except NoOpenGLError as error:

@@ -14,7 +14,7 @@ from api.errors import WorkerCrashError
 from api.workers.jobs import Answer, Failure, Job, Ping, Preparing, Ready
 from api.workers.plan_basis import PlanBasis
 from api.workers.process_life import JOIN_S, is_stopped
-from api.workers.render_worker import WorkerConfig
+from api.workers.worker_main import WorkerConfig
 from terrain.errors import GraphicsError, RenderTimeoutError
 
 MOST_SAID = 300

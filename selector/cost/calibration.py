@@ -12,7 +12,6 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import nnls
 
 from selector.cost.calibration_scenes import CalibrationView, calibration_views
 from selector.cost.cost_model import MS_PER_NS, counts_to_ms, work_of
@@ -126,6 +125,8 @@ def fitted_rates(rows: list[tuple[Counts, str, float]]) -> dict[str, dict[str, f
     """Rates in nanoseconds by part and count, none of them negative, with the least sum of squares of relative errors over ``rows``
     (counts, their part, milliseconds); the algorithm is that of C. Lawson and R. Hanson, Solving Least Squares Problems, 1974.
     """
+    from scipy.optimize import nnls
+
     rates_ns = {}
     for part in dict.fromkeys(part for _, part, _ in rows):
         part_rows = [(counts, ms) for counts, row_part, ms in rows if row_part == part]

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
@@ -121,6 +120,8 @@ def _places(count: int, side_m: float) -> list[list[float]]:
 
 def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_M) -> dict[str, Any]:
     """A mesh of a level: balls of 20 x 4^halvings triangles each."""
+    import trimesh
+
     path = folder / f"ball_{halvings}_{radius_m:g}.ply"
     trimesh.creation.icosphere(subdivisions=halvings, radius=radius_m).export(path)
     return {"source": path.name, "at": _places(count, 110.0)}
@@ -128,6 +129,8 @@ def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_M) ->
 
 def _lattice(folder: Path) -> dict[str, Any]:
     """A mesh of a level: 8 x 8 x 6 boxes over one another, whose shadow volumes lie in many layers."""
+    import trimesh
+
     steps = (np.arange(count) - (count - 1) / 2.0 for count in (8, 8, 6))
     places = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3) * np.array([4.0, 4.0, 2.5])
     boxes = [trimesh.creation.box((1.2, 1.2, 1.2), trimesh.transformations.translation_matrix(place)) for place in places]

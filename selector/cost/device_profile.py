@@ -99,3 +99,8 @@ def _read(renderer: str, version: str) -> DeviceProfile | str:
     if (profile.renderer, profile.version) != (renderer, version):
         return f"{path} is for another device, {profile.renderer}: run skugga calibrate again"
     return profile
+
+
+def digest_of(device: DeviceProfile | None) -> str:
+    """Return what changes with a calibration; empty where there is none."""
+    return "" if device is None else hashlib.sha256(device.model_dump_json().encode()).hexdigest()[:16]

@@ -14,9 +14,9 @@ from selector.formatting import format_duration, format_percent
 from selector.measure.probing import LightProbe, Proof, leader_of, probed
 from selector.measure.proving import ProbedPictures, SceneProver
 from selector.measure.view_truth import View
-from selector.options import Seen
 from selector.planner.planner import make_plan, planner_of
 from selector.predict import PlanOptions, plan_of, plan_options
+from selector.seen import Seen
 from shadows.algorithm import Reasoned
 from shadows.plan import Plan
 from terrain.describe import describe

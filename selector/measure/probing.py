@@ -18,8 +18,9 @@ from typing import Protocol
 from selector.belief import Belief
 from selector.cost.error_model import log_error, log_interior
 from selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
-from selector.options import LightOptions, Seen
+from selector.options import LightOptions
 from selector.ranking import relative_overshoot
+from selector.seen import Seen
 from shadows.truth.metrics import MOST_INTERIOR
 
 LEAST_SAVING = 0.03

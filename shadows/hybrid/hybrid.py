@@ -12,9 +12,9 @@ thinner than a texel may lie between the texels' centres, and is missed. ``conse
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
-from moderngl import Framebuffer
 
 from shadows.algorithm import FEW_MAP_SIZES, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.attached import attached
@@ -37,6 +37,9 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gl.device import device
 from terrain.level.level import SUN, CasterKind, Shadows
 from terrain.scene import Scene
+
+if TYPE_CHECKING:
+    from moderngl import Framebuffer
 
 PASSES = ("silhouettes", "map", "mask", "stencil")
 

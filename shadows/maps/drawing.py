@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import nullcontext
 from hashlib import sha256
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from moderngl import Framebuffer
 
 from shadows.maps.settings import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
 from shadows.maps.trees_that_matter import trees_that_matter
@@ -25,6 +24,9 @@ from terrain.gl.device import Device, device
 from terrain.level.level import CasterKind
 from terrain.scene import Scene
 from terrain.trees.foliage import THRESHOLD, foliage
+
+if TYPE_CHECKING:
+    from moderngl import Framebuffer
 
 MapSettings = ShadowMapSettings | LampMapSettings | PerspectiveMapSettings
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
-from moderngl import Framebuffer, Program, Texture, Uniform
 
 from shadows.maps.drawing import MapSettings
 from shadows.maps.point_lookup import DepthComparison, LitPoints, look_points_up, sun_map
@@ -23,6 +23,9 @@ from terrain.geo.grid import MapView
 from terrain.gl.device import Device
 from terrain.ground.sheet import Sheet
 from terrain.lights import LightPosition
+
+if TYPE_CHECKING:
+    from moderngl import Framebuffer, Program
 
 LOOK_COLS, LOOK_ROWS = 2048, 384
 """Points of a perspective view that are looked up side by side, and one below the other: 50 MB of textures."""
@@ -121,6 +124,8 @@ def _comparison(settings: MapSettings, taps: int) -> DepthComparison:
 
 def _program(gl: Device, drawn: DepthMap, settings: MapSettings, filter: int | str, known: dict[str, bool]) -> Program:
     """The program that looks a map up, all set but for the points; ``known`` says which triangles are."""
+    from moderngl import Uniform
+
     disc, taps = filter == "sun", DISC_TAPS if filter == "sun" else int(filter)
     by = _comparison(settings, taps)
     constants = known | {
@@ -149,6 +154,8 @@ def _program(gl: Device, drawn: DepthMap, settings: MapSettings, filter: int | s
 
 def _use_depths(target: Framebuffer) -> None:
     """Put a depth map in its texture unit."""
+    from moderngl import Texture
+
     depths = target.depth_attachment
     assert isinstance(depths, Texture)
     depths.use(MAP_UNIT)

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
-from moderngl import Framebuffer
 
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.area_light import mean_over_light
@@ -47,6 +47,9 @@ from terrain.geo.light_space import light_bounds
 from terrain.gl.device import device
 from terrain.level.level import SUN, CasterKind, Shadows
 from terrain.scene import Scene
+
+if TYPE_CHECKING:
+    from moderngl import Framebuffer
 
 PASSES = ("depth map", "visibility")
 

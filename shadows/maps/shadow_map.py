@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from moderngl import Framebuffer
 
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.area_light import mean_over_light
@@ -32,6 +31,9 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gl.device import device
 from terrain.level.level import SUN, CasterKind, Shadows
 from terrain.scene import Scene
+
+if TYPE_CHECKING:
+    from moderngl import Framebuffer
 
 PASSES = ("depth map", "visibility")
 

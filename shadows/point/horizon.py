@@ -7,7 +7,6 @@ below it no ground is lit (``Scene.sun_is_up``), and where a level's data end, n
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from shadows.point.horizon_walk import ReliefHorizon, ground_hides, relief_horiz
 from shadows.point.leaf_sight import SeenTrees, highest_leaves, nearest_leaves, seen_trees
 from shadows.point.place import PointPlace
 from shadows.point.solid_sight import Sighting, highest_solids, nearest_solids, nothing_sighted
+from shadows.point.terms import CasterType
 from terrain.gbuffer.tree_instances import tree_instances_in_map
 from terrain.geo.world import WGS84, geodetic
 from terrain.scene import Scene
@@ -25,8 +25,6 @@ HORIZON_DIRECTIONS = 720
 
 WHOLE_TREES_M = 1e-3
 """Pixels so small that a map of them draws every tree: none is thinned out."""
-
-CasterType = Literal["relief", "building", "mesh", "forest"]
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,10 @@ from pyproj import CRS
 from pyproj.exceptions import ProjError
 
 from shadows.point.relief_pages import PagedRelief, paged_relief
+from shadows.point.terms import HIGHEST_EYE_M
 from terrain.errors import InputError
 from terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from terrain.scene import Scene
-
-HIGHEST_EYE_M = 10_000.0
-"""Most metres of an eye above the ground."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,11 +15,11 @@ from pyproj import CRS
 from terrain.cache import MIB, cached
 from terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, overview_on_grid
 from terrain.compiled import compiled
-from terrain.geo.grid import Grid, map_grid
+from terrain.geo.grid import Grid, map_grid, step_at_anchor_m
 from terrain.geo.world import World, transformer
 from terrain.ground.columns import Columns
 from terrain.ground.elevation import FILL_CELLS, Elevation
-from terrain.ground.surface import Surface, step_at_anchor_m
+from terrain.ground.surface import Surface
 from terrain.scene import Scene
 
 TILE_QUADS = 16

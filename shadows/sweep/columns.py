@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from shadows.sweep.grid import BENT_CELLS, LATTICE, RAYS_BEND_REASON
 from shadows.sweep.points import cubic
@@ -224,6 +223,8 @@ def _border_cubics(along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], r
 
     Raises ``UnsupportedError`` where cubics cannot follow it.
     """
+    from scipy.interpolate import make_interp_spline
+
     i = np.unique(np.linspace(0, rows, min(rows + 1, LATTICE)).round())
     j = np.linspace(-0.5, cols - 0.5, min(cols + 1, LATTICE))
     t, t_rise, *others = along_rays(*np.meshgrid(i - 0.5, j, indexing="ij"))

@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from shadows.sweep.lines import NO_GROUND_LEVEL, Strip, TurnedGrid, sweep_rows
 from shadows.sweep.points import StripPoints, in_strip, intervals_of, no_points, put_answers
@@ -132,6 +131,8 @@ def position_cubics(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: 
 
     Raises ``UnsupportedError`` where cubics cannot follow it.
     """
+    from scipy.interpolate import make_interp_spline
+
     i = np.unique(np.linspace(0, rows - 1, min(rows, LATTICE)).round())
     j = np.linspace(0, cols - 1, min(cols, LATTICE))
     t = t_of(*np.meshgrid(i, j, indexing="ij"))

@@ -9,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation, distance_transform_edt, label
-from scipy.spatial import KDTree
 
 from shadows.truth.truth import Truth
 from terrain.cache import MIB, cached
@@ -118,6 +116,8 @@ def sight_of(dark: np.ndarray, truth: Truth, looks_at: np.ndarray) -> SeenShadow
 
 def edge_sight(dark: np.ndarray, truth: Truth) -> SeenShadow:
     """What distances between edges see: the boundary of those components of the cast shadow that the class meets at all."""
+    from scipy.ndimage import label
+
     known, true_dark = truth.there & ~truth.attached, ~truth.lit & truth.there
     everywhere = sight_of(dark, truth, true_dark)
     edge = boundary(true_dark, truth.there) & known
@@ -145,6 +145,8 @@ def errors_of(
     one number, or one a pixel (rows, cols). ``true_visibility`` (rows, cols) is that of the light as an area, NaN where it is not
     known; ``None``: the light is a point.
     """
+    from scipy.ndimage import label
+
     if true_visibility is None:
         true_visibility = np.where(truth.there, truth.lit, np.nan)
     decidable = truth.decidable
@@ -180,6 +182,9 @@ def edge_distances(dark: np.ndarray, true_dark: np.ndarray, there: np.ndarray) -
 
     A component that meets none of the other picture was lost or invented: it counts in ``interior``, not here.
     """
+    from scipy.ndimage import label
+    from scipy.spatial import KDTree
+
     edges = []
     for near, far in ((dark, true_dark), (true_dark, dark)):
         parts, _ = label(near, structure=_SQUARE)
@@ -193,6 +198,8 @@ def edge_distances(dark: np.ndarray, true_dark: np.ndarray, there: np.ndarray) -
 
 def boundary(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
     """Shadow pixels beside a lit one (of the four neighbours); the borders of surface and picture are no boundary."""
+    from scipy.ndimage import binary_dilation
+
     return dark & binary_dilation(there & ~dark, structure=_CROSS)
 
 
@@ -203,6 +210,8 @@ def interior(wrong: np.ndarray, true_dark: np.ndarray, there: np.ndarray, distan
 
 def from_edges_px(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
     """Each pixel's distance (rows, cols) to the nearest one on either side of a shadow's boundary; infinite without any."""
+    from scipy.ndimage import distance_transform_edt
+
     edge = boundary(dark, there) | boundary(there & ~dark, there)
     return distance_transform_edt(~edge) if edge.any() else np.full(dark.shape, np.inf)
 

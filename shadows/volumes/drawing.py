@@ -15,10 +15,9 @@ Volumes are drawn in rectangles of tiles that hold points, and of the faces only
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-import moderngl
 import numpy as np
-from moderngl import Framebuffer
 
 from shadows.passes import PassRecord
 from shadows.volumes.layers import may_shade_near
@@ -31,6 +30,10 @@ from terrain.geo.grid import MapView
 from terrain.gl.device import Device, device
 from terrain.gl.stencil import MARK_BIT, Counting, Side
 from terrain.scene import Scene
+
+if TYPE_CHECKING:
+    import moderngl
+    from moderngl import Framebuffer
 
 COUNT_BITS = ~MARK_BIT & 0xFF
 """The bits of the stencil that count."""
@@ -114,6 +117,8 @@ def silhouettes_seen(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes
 
 
 def _drawn_over(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes], counting: Counting) -> np.ndarray:
+    import moderngl
+
     gl, out = device(), np.zeros(buffer.there.shape, np.uint8)
     lines = counting == "seen"
     for points in pixels_seen(buffer, scene, buffer.there, near_plane_m(buffer)):

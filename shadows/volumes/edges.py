@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from terrain.compiled import compiled
 from terrain.errors import InputError
@@ -69,6 +67,9 @@ def signed_sums(edges: Edges, turns: np.ndarray) -> np.ndarray:
 
 def connected_parts(edges: Edges) -> np.ndarray:
     """The number (m,) int32 of each triangle's part: all triangles that are connected through edges."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     count = len(edges.along)
     triangle, side = np.nonzero(edges.along)
     nodes = count + len(edges.ends)

@@ -17,9 +17,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from moderngl import Framebuffer, Program
 
 from shadows.volumes.volumes import ground_has_gaps
 from terrain.casters.clip_space import affine_parts, camera_clip, map_clip
@@ -34,6 +34,9 @@ from terrain.geo.light_space import light_bounds
 from terrain.gl.device import Device
 from terrain.ground.sheet import Sheet
 from terrain.scene import Scene
+
+if TYPE_CHECKING:
+    from moderngl import Framebuffer, Program
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from shadows.passes import PassRecord
 from shadows.volumes.edges import Edges, closed_parts, connected_parts, edges_of
@@ -167,6 +165,9 @@ class _Structure:
 
 @cached("scene", 1024 * MIB)
 def _structure(vertices: np.ndarray, triangles: np.ndarray, ground_rule: int | None) -> _Structure:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     edges, count = edges_of(vertices, triangles), len(vertices)
     if ground_rule is not None:
         return _Structure(edges, np.full(len(triangles), ground_rule, np.int8), np.zeros(count, np.int32))

@@ -21,7 +21,6 @@ from __future__ import annotations
 from math import erf
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
@@ -145,6 +144,8 @@ def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np
 
 def _between(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
     """Nodes (n, 3) of the ground under water that are no farther than what a look shows beside them, if water is drawn there."""
+    from scipy.ndimage import maximum_filter
+
     buffer, ground = coarse_view.buffer, coarse_view.buffer.ground
     assert ground is not None and isinstance(buffer.view, PerspectiveView)
     coarse, wet = buffer.view, np.abs(ground.height_m - scene.elevation.water_m) <= SHORE_M

@@ -11,10 +11,10 @@ from terrain.facts.fact_types import CasterFacts
 from terrain.gbuffer.ground_mesh import ground_mesh, ground_nodes
 from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
 from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.geo.grid import BLOCK_PX, MapView, step_at_anchor_m
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
-from terrain.ground.surface import map_pixel_m, step_at_anchor_m
+from terrain.ground.surface import map_pixel_m
 from terrain.scene import Scene
 from terrain.scene_objects import SceneObjects
 from terrain.trees.foliage import THRESHOLD, foliage

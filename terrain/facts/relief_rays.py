@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
@@ -103,6 +102,8 @@ def _hidden(world: World, elevation: Elevation, at: OverviewProbes, beside: np.n
 @cached("scene", 256 * MIB)
 def _grid(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
     """The overview's heights, lowest in holes, and the highest of each block of cells and the ring of cells round it."""
+    from scipy.ndimage import maximum_filter
+
     heights = np.nan_to_num(elevation.overview.heights_m, nan=-1e9)
     side = SKIP_BLOCK_CELLS
     padded = np.pad(maximum_filter(heights, 3, mode="nearest"), [(0, -size % side) for size in heights.shape], mode="edge")

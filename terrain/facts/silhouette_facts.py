@@ -9,13 +9,16 @@ graphics").
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
-from terrain.meshes.assemble import Placement
 from terrain.scene_objects import SceneObjects
+
+if TYPE_CHECKING:
+    from terrain.meshes.assemble import Placement
 
 MOST_SIDES = 4096
 """Sides that are held against the eye's rays; of more, so many spread over all of them, each of which counts for others too."""

@@ -15,12 +15,12 @@ from pyproj import CRS
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled, in_shares
 from terrain.geo.camera import FRAME_SHARE, PerspectiveView
-from terrain.geo.grid import Grid, map_grid
+from terrain.geo.grid import Grid, map_grid, step_at_anchor_m
 from terrain.geo.world import LocalFrame, World, transformer
 from terrain.ground.decimation import NodeErrors, decimate, errors_m
 from terrain.ground.elevation import Elevation
 from terrain.ground.sheet import sheet_of
-from terrain.ground.surface import Surface, step_at_anchor_m
+from terrain.ground.surface import Surface
 from terrain.meshes.facets import FacesRound, creases, face_normals, faces_round, smooth_normals
 from terrain.scene import Scene
 

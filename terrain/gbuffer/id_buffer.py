@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import moderngl
 import numpy as np
 
 from terrain.cache import MIB, cached
@@ -23,6 +22,9 @@ from terrain.geo.world import LocalFrame
 from terrain.gl.device import Device, device
 from terrain.gl.programs import join_shader_parts
 from terrain.trees.foliage import THRESHOLD, foliage
+
+if TYPE_CHECKING:
+    import moderngl
 
 NEAR_M = 0.005
 """What is nearer to the eye than this is not seen."""

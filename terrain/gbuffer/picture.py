@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Protocol, get_args
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from terrain.cache import MIB, cached
 from terrain.gbuffer.geometry import GeometryBuffer, MapNodes, map_geometry, map_nodes
@@ -281,6 +280,8 @@ def _ground_cells(image: Imagery, ground: GroundMesh) -> np.ndarray:
 
 def _draped(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
     """Albedo (rows, cols, 3) of a map's ground: exact cells on every 16th pixel, bilinear between."""
+    from scipy.ndimage import map_coordinates
+
     count = [-(-(size - 1) // CELL_STEP_PX) + 1 for size in (view.rows, view.cols)]
     row, col = np.meshgrid(*(np.arange(n + 1) * float(CELL_STEP_PX) for n in count), indexing="ij")
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)

@@ -12,16 +12,17 @@ two themselves (there the powers are the zooms), from one unit of the CRS and fr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from morecantile import Tile, TileMatrixSet
-from morecantile import tms as matrix_sets
 from pyproj import CRS
 
 from terrain.cache import MIB, cached
 from terrain.errors import InputError
 from terrain.geo.world import LONGITUDE_LATITUDE, World, epsg_of, transformer
+
+if TYPE_CHECKING:
+    from morecantile import TileMatrixSet
 
 BLOCK_PX = 1024
 """Side of a map block in pixels: the unit of work and of caching."""
@@ -163,6 +164,8 @@ def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
     """The grid of a map view other than a tile: the power-of-two resolution at or below ``resolution`` (CRS units)."""
     name = None if world.flat else TILE_LADDERS.get(epsg_of(crs) or 0)
     if name is not None:
+        from morecantile import tms as matrix_sets  # a fifth of a second, which maps in other CRSs need not pay
+
         tms = matrix_sets.get(name)
         base = tms.matrix(0).cellSize
         zoom = int(np.clip(np.ceil(np.log2(base / resolution) - 1e-9), -30, 60))
@@ -176,6 +179,25 @@ def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
     return Grid(crs, x + step / 2, y - step / 2, step)  # pixels, not nodes, touch at the anchor
 
 
+@cached("process", MIB, size_of=lambda _: 512)
+def step_at_anchor_m(world: World, grid: Grid) -> float:
+    """Ground distance between neighbouring nodes at the anchor, metres: the root of a quad's area.
+
+    One figure for the level, so that nothing is decided per tile.
+    """
+    if world.flat:
+        return grid.step * world.metres_per_unit * float(np.sqrt(grid.stretch))
+    if grid.crs == world.crs:
+        x, y = world.anchor_x, world.anchor_y
+    else:
+        x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(world.anchor_lon_deg, world.anchor_lat_deg)
+    half = grid.step / 2
+    down = half * grid.stretch
+    point, _ = world.ground(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - down, y + down]))
+    size = np.linalg.norm(point[1] - point[0]) * np.linalg.norm(point[3] - point[2])
+    return float(np.sqrt(size))
+
+
 @cached("process", MIB, key=lambda tms: (tms.id,), size_of=lambda _: 2**14)
 def crs_of_tiles(tms: TileMatrixSet) -> CRS:
     """The CRS of a tile matrix set: one object, by which what is kept for it is found."""
@@ -185,6 +207,8 @@ def crs_of_tiles(tms: TileMatrixSet) -> CRS:
 @cached("process", MIB, key=lambda tms, zoom: (tms.id, zoom), size_of=lambda _: 512)
 def tile_grid(tms: TileMatrixSet, zoom: int) -> Grid:
     """The grid of a tile matrix: nodes are the pixels' centres, counted from the matrix's corner."""
+    from morecantile import Tile
+
     step = tms.matrix(zoom).cellSize
     corner = tms.xy_bounds(Tile(0, 0, zoom))
     return Grid(crs_of_tiles(tms), corner.left + step / 2, corner.top - step / 2, step)

@@ -24,7 +24,7 @@ import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when i
 from terrain.cache import KIB, MIB, Cache, Missing  # noqa: E402
 from terrain.errors import GraphicsError, NoOpenGLError  # noqa: E402
 from terrain.gl.depth_targets import DepthTargets  # noqa: E402
-from terrain.gl.egl_devices import LIBEGL, open_context  # noqa: E402
+from terrain.gl.egl_devices import LIBEGL, NO_OPENGL, open_context  # noqa: E402
 from terrain.gl.programs import linked, note_draw, with_constants  # noqa: E402
 from terrain.gl.stencil import Stencil  # noqa: E402
 
@@ -374,9 +374,6 @@ def _layers_bytes(texture: moderngl.TextureArray) -> int:
     width, height, count = texture.size
     return 4 * width * height * count * 4 // 3
 
-
-NO_OPENGL = "no OpenGL"
-"""What stands for the renderer's name where there is none."""
 
 _device: Device | None = None
 _missing: NoOpenGLError | None = None

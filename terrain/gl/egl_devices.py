@@ -32,6 +32,9 @@ LIBEGL, LIBGL = "libEGL.so.1", "libGL.so.1"
 
 OPENGL_VERSION = 430
 
+NO_OPENGL = "no OpenGL"
+"""What stands for the renderer's name where there is none."""
+
 PROBE_LIMIT_S = 60.0
 """How long it is waited for a device that is asked what it is."""
 

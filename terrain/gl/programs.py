@@ -10,8 +10,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import moderngl
+if TYPE_CHECKING:
+    import moderngl
 
 _PART = "// part: "
 _SAMPLER_TYPES = frozenset(
@@ -70,6 +72,8 @@ def with_constants(fragment: str, constants: Mapping[str, bool | int]) -> tuple[
 
 def linked(program: moderngl.Program, texts: tuple[str, str], constants: list[str]) -> Linked:
     """A program as it goes on record: its samplers are those that the linker has left active."""
+    import moderngl
+
     parts = [line.removeprefix(_PART) for text in texts for line in text.splitlines() if line.startswith(_PART)]
     members = {name: program[name] for name in program}
     uniforms = {name: member for name, member in members.items() if isinstance(member, moderngl.Uniform)}

@@ -23,7 +23,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import label
 
 from terrain.ground.elevation import Elevation
 
@@ -127,6 +126,8 @@ def _candidates(seen: _Cells) -> Iterator[tuple[np.generic, _Region]]:
     for index in np.argsort(count)[::-1][:_CANDIDATES]:
         if count[index] < BORDER_SHARE * max(len(seen.border(seen.known)), 1):
             return
+        from scipy.ndimage import label  # a quarter of a second, which rasters without such a value need not pay
+
         parts, _ = label(seen.known & (seen.values == values[index]), _EIGHT)
         at_border = seen.border(parts)
         cells = np.isin(parts, np.unique(at_border[at_border > 0]))

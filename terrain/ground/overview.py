@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from terrain.errors import SourceError, printable
 from terrain.ground.open_raster import EXACT_HIGH_CELLS
@@ -138,6 +137,8 @@ def _estimated_high(ground: LevelReader, kept: int, finer: int, level: int) -> t
     """The highest ground of the cells of the level ``kept`` that lie in whole ones of the coarser ``level``, and the lowest of all,
     from the means of a ``finer`` level: ground varies within a cell about as it does from cell to cell.
     """
+    from scipy.ndimage import maximum_filter, minimum_filter
+
     per, rows = 2 ** (kept - finer), ground.level_shape(finer)[0]
     m, n = (count * 2 ** (level - kept) for count in ground.level_shape(level))
     high, lowest_m = np.full((m, n), np.nan, np.float32), np.nan

@@ -15,8 +15,8 @@ import numpy as np
 
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled, in_shares
-from terrain.geo.grid import Grid, MapView
-from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
+from terrain.geo.grid import Grid, MapView, step_at_anchor_m
+from terrain.geo.world import LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
 from terrain.ground.height_tiles import tiled_heights
 from terrain.ground.sheet import Sheet, sheet_of
@@ -234,25 +234,6 @@ def _steps_of(world: World, elevation: Elevation, grid: Grid) -> tuple[float, in
     detail_m = max(step_m, elevation.resolution_m or 0.0)
     stride = int(2 ** np.clip(np.floor(np.log2(EXACT_SPACING_M / step_m)), 0, np.log2(EXACT_STRIDE)))
     return step_m, max(int(np.rint(np.log2(detail_m / cell_m))), 0), step_m / cell_m, stride
-
-
-@cached("process", MIB, size_of=lambda _: 512)
-def step_at_anchor_m(world: World, grid: Grid) -> float:
-    """Ground distance between neighbouring nodes at the anchor, metres: the root of a quad's area.
-
-    One figure for the level, so that nothing is decided per tile.
-    """
-    if world.flat:
-        return grid.step * world.metres_per_unit * float(np.sqrt(grid.stretch))
-    if grid.crs == world.crs:
-        x, y = world.anchor_x, world.anchor_y
-    else:
-        x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(world.anchor_lon_deg, world.anchor_lat_deg)
-    half = grid.step / 2
-    down = half * grid.stretch
-    point, _ = world.ground(grid.crs, np.array([x - half, x + half, x, x]), np.array([y, y, y - down, y + down]))
-    size = np.linalg.norm(point[1] - point[0]) * np.linalg.norm(point[3] - point[2])
-    return float(np.sqrt(size))
 
 
 def map_pixel_m(world: World, view: MapView) -> float:

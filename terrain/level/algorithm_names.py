@@ -11,6 +11,15 @@ ALGORITHM_NAMES = ["shadow_map", "perspective_shadow_map", "shadow_volume", "hyb
 """All names. ``shadows.registry.register_algorithm`` adds to them, so nobody keeps a copy."""
 
 
+REFERENCE_NAMES = ["truth"]
+"""Those of references, with which others are compared: no service draws by them. ``register_algorithm`` keeps them, too."""
+
+
+def served_algorithms() -> tuple[str, ...]:
+    """Return the names that a request over HTTP may ask for."""
+    return tuple(name for name in ALGORITHM_NAMES if name not in REFERENCE_NAMES)
+
+
 class _OneOfThem:
     """Holds a string to the names of the moment."""
 

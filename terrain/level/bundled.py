@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import rasterio
@@ -25,12 +27,22 @@ def _write(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | Non
     return memory
 
 
+def _sample_data(name: str) -> Path:
+    """A file of matplotlib's sample data. It lies in the package, whose import takes a fifth of a second, or elsewhere."""
+    package = find_spec("matplotlib")
+    for folder in () if package is None else package.submodule_search_locations or ():
+        file = Path(folder) / "mpl-data" / "sample_data" / name
+        if file.is_file():
+            return file
+    from matplotlib.cbook import get_sample_data
+
+    return Path(get_sample_data(name, asfileobj=False))
+
+
 @cached("process", 64 * MIB, size_of=len)
 def _jacksboro() -> MemoryFile:
     """SRTM heights round the Jacksboro fault, 3 arc seconds, from matplotlib's sample data."""
-    from matplotlib.cbook import get_sample_data
-
-    with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as data:
+    with np.load(_sample_data("jacksboro_fault_dem.npz")) as data:
         # "ymax" is the raster's north edge. Row 0 is the northernmost, and with it there the highest cell is Cross Mountain
         # (36.1983 N). "ymin" is no edge: it lies as far north of "ymax" as the raster reaches south of it. "xmin" and "ymax" are
         # edges of cells, not centres: cells are centred on multiples of 3 arc seconds then, where SRTM has its heights.

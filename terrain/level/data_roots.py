@@ -12,8 +12,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rasterio.errors import RasterioError
-
 from terrain.errors import Fault, LevelError, SourceError
 from terrain.level.linked_files import files_beside, is_remote
 from terrain.level.rasters import open_raster
@@ -95,6 +93,8 @@ def _local_path(address: str) -> str | None:
 
 def _opened_with(file: str) -> Iterable[str]:
     """The files that GDAL opens for a raster, with its overviews; none for what is no raster."""
+    from rasterio.errors import RasterioError
+
     try:
         with warnings.catch_warnings(action="ignore"), open_raster(file) as dataset:
             if dataset.count:

@@ -40,7 +40,7 @@ from terrain.level.parts import (
     time_of,
 )
 from terrain.level.pin_scope import PinScope, never_taken
-from terrain.level.rasters import is_raster
+from terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
 from terrain.level.setting import Requests
 
 EffectName = Literal[
@@ -272,6 +272,11 @@ class LoadedLevel(BaseModel):
         return source or "" if source is None or source in BUNDLED else self.resolve(source)
 
     @property
+    def without_sun(self) -> LoadedLevel:
+        """The same level without a sun, to place which a time needs a library that takes most of a second to import."""
+        return self.model_copy(update={"level": self.level.model_copy(update={"sun": "none"})})
+
+    @property
     def sources(self) -> tuple[str, ...]:
         """All files that the level names, relative to nothing."""
         from terrain.level.bundled import BUNDLED
@@ -417,19 +422,11 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
         raise InputError(name, value, detail["msg"].removeprefix("Input should be ")) from None
 
 
-LEVEL_SUFFIXES = ".yaml", ".yml"
-"""Of level files."""
-
 TEXT_SUFFIXES = (*LEVEL_SUFFIXES, ".json", ".txt", "")
 """Of files whose text is looked at closely: of another, what is wrong with it as YAML means nothing."""
 
 _NEITHER = "neither a level file nor a raster that GDAL reads"
 _EITHER = "a raster of heights, or a YAML file that starts with 'version: 1'"
-
-
-def is_level_raster(path: Path) -> bool:
-    """Whether a file is no level file but a raster, which is a level by itself."""
-    return path.suffix.lower() not in LEVEL_SUFFIXES and is_raster(path)
 
 
 def load_level(source: Path | str | LevelSource) -> LoadedLevel:

@@ -19,7 +19,6 @@ import numpy as np
 import shapely
 from pyproj import CRS
 from pyproj.exceptions import ProjError
-from scipy.spatial import cKDTree
 
 from terrain.errors import LevelError, SourceError
 from terrain.geo.vectors import Features, attribute_names, check_divided, numbers, read_features
@@ -318,6 +317,8 @@ def _roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
 
 def _with_skipped(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray, missing: int) -> np.ndarray:
     """The triangles with those cut in two, up to a number, that have a corner of the polygon between the ends of an edge."""
+    from scipy.spatial import cKDTree
+
     rings = set(zip(range(len(xy)), _following(ring_ends).tolist(), strict=True))
     corners, near = triangles.tolist(), cKDTree(xy)
     edges = {edge: k for k, (i, j, l) in enumerate(corners) for edge in ((i, j), (j, l), (l, i))}

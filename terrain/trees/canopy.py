@@ -17,7 +17,6 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
-from scipy.spatial import cKDTree
 
 from terrain.compiled import compiled
 from terrain.errors import SourceError
@@ -282,6 +281,8 @@ def border_cells(rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
 
 def room_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
     """Mean distance float64 (n,) of each place to its ``NEIGHBOURS`` nearest, metres; infinite where there are not so many."""
+    from scipy.spatial import cKDTree
+
     if len(x) <= NEIGHBOURS:
         return np.full(len(x), np.inf)
     points = np.column_stack([x, y])

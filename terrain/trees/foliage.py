@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
@@ -258,6 +257,8 @@ def leaf_outlines() -> np.ndarray:
     """For each picture (2 * looks, k, 2) the corners of a convex polygon that holds all of its leaves, the last one repeated: right
     and up from the lower left corner, in [0, 1]; a sixteenth of the picture is what it may be too large by.
     """
+    from scipy.spatial import ConvexHull
+
     alpha = foliage().levels[0][..., 3]
     layers, side, _ = alpha.shape
     cells = alpha.reshape(layers, OUTLINE_CELLS, side // OUTLINE_CELLS, OUTLINE_CELLS, -1).max(axis=(2, 4)) >= THRESHOLD * 255

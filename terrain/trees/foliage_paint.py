@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from terrain.compiled import compiled
 
@@ -287,6 +286,8 @@ def _shaded(tree: Strokes, radius: float) -> Strokes:
 
     Light that bounces between leaves is lost to a renderer that lights one flat picture; without this a crown has no depth.
     """
+    from scipy.ndimage import gaussian_filter
+
     cells = 48  # an axis of the box
     middle = 0.5 * (tree.start + tree.end)
     shape = np.array([2.0 * radius, 2.0 * radius, 1.0])

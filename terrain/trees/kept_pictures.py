@@ -5,16 +5,15 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 
-import numba
 import numpy as np
-import scipy
 
 from terrain.user_cache import arrays_kept_in, user_cache
 from terrain.whole_files import replaced_whole
 
-VERSIONS = np.__version__, scipy.__version__, numba.__version__
+VERSIONS = np.__version__, version("scipy"), version("numba")
 """Of the packages that paint: others may round otherwise."""
 
 

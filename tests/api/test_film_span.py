@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from api.film_span import film_span
-from selector.film import FilmSpan
+from selector.film_request import FilmSpan
 from terrain.errors import InputError
 from terrain.level.camera_file import CameraPathSpec
 

@@ -12,7 +12,7 @@ import rasterio
 from PIL import Image
 
 from api.cli.snapshot import snapshot
-from terrain.gl.device import NO_OPENGL
+from terrain.gl.egl_devices import NO_OPENGL
 from tests.api.conftest import CORNER, SUN, ZOOM, Client, write_level
 from tests.api.http.test_problems import check_problem
 from tests.api.http.test_serve import ROOT, serving

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from selector import film
-from selector.film import FilmFrame, FilmRequest, FilmSpan, film_frames, frame_moments
+from selector.film import FilmFrame, film_frames, frame_moments
+from selector.film_request import FilmRequest, FilmSpan
 from selector.planner.planner import make_plan
 from selector.replanning import MOST_CHANGED, PATIENCE, Replanner
 from shadows.plan import Plan, Predicted

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import shapely
 import trimesh
-from scipy.spatial import ConvexHull
 
 from terrain.meshes.body import Body, box, srgb_albedo
 
@@ -25,6 +24,8 @@ def cuboid(low: Vector, high: Vector, color: Colour) -> Body:
 
 def hull(points_m: list[Vector] | np.ndarray, color: Colour) -> Body:
     """The convex hull of n points that are all its corners: 2 n - 4 triangles."""
+    from scipy.spatial import ConvexHull
+
     points = np.asarray(points_m, np.float64)
     found = ConvexHull(points, qhull_options="Qt")
     triangles = found.simplices.copy()

@@ -18,7 +18,7 @@ from api.animations.film_order import FilmOrder
 from api.errors import LaterError, NotServedError, StorageError
 from api.settings import Settings
 from api.workers.jobs import LevelKey
-from selector.film import FilmSpan
+from selector.film_request import FilmSpan
 from terrain.errors import BusyError, InputError, RenderError
 from tests.api.workers.test_pool import SOON_S, until
 

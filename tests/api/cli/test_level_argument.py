@@ -172,7 +172,7 @@ def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path | None, list[str]
         calls.append((settings.levels, [level.path.stem for level in levels]))
 
     monkeypatch.setattr(server, "serve", note)
-    monkeypatch.setattr("api.cli.main.forbid_remote_reads", lambda: None)
+    monkeypatch.setattr("api.cli.commands.serve.forbid_remote_reads", lambda: None)
     return calls
 
 

@@ -13,13 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from api.device_calibration import digest_of
 from api.http.sent_descriptor import MAX_LAMPS, FactsByEffect, SentDescriptor
 from api.settings import Settings
 from api.workers.jobs import DescribedPlanJob, Tiles
 from api.workers.plan_basis import PlanBasis
 from api.workers.render_worker import TilePlanCache, WorkerState, block_view, run_job, tiles_view
-from selector.cost.device_profile import DeviceProfile
+from selector.cost.device_profile import DeviceProfile, digest_of
 from selector.select import plan_of_view
 from shadows.plan import Plan
 from terrain.cache import bytes_of

@@ -7,10 +7,11 @@ import pytest
 import rasterio
 import rasterio.shutil
 
-from api.catalogue import bundled_levels, remarks
+from api.catalogue import bundled_levels
 from api.errors import exit_status
 from api.http.app import create_app
 from api.http.served_levels import ServedLevels
+from api.level_summary import remarks
 from api.settings import Settings
 from api.workers.jobs import LevelKey
 from api.workers.render_worker import SceneCache

@@ -5,7 +5,7 @@ from __future__ import annotations
 from api.workers.jobs import LevelKey
 from selector.cost.device_profile import DeviceProfile
 from selector.map_probes import MapProbes, ProbedClass
-from selector.options import Seen
+from selector.seen import Seen
 from terrain.errors import RenderError
 
 

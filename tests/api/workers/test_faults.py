@@ -10,7 +10,7 @@ from multiprocessing import get_context
 
 import pytest
 
-from api.workers.render_worker import worker_main
+from api.workers.worker_main import worker_main
 from tests.api.conftest import CORNER, ZOOM, Client
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers

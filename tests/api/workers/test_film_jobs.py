@@ -24,7 +24,8 @@ from api.workers.job_queue import BEHIND_S, JobQueue, PendingJob
 from api.workers.jobs import CarriedPlans, FilmPicture, FrameJob, PictureRequest
 from api.workers.plan_basis import PlanBasis
 from api.workers.pool import Pool
-from selector.film import FilmRequest, FilmSpan, film_frames, frame_moments
+from selector.film import film_frames, frame_moments
+from selector.film_request import FilmRequest, FilmSpan
 from selector.replanning import Replanner
 from selector.select import select
 from terrain.level.level import load_level

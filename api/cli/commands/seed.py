@@ -7,10 +7,13 @@ from typing import Annotated, Any
 
 import typer
 
+from api.cli.completion import complete_words
 from api.cli.level_argument import takes_level
 from api.cli.options import with_shadow_options
 from api.seed.messages import LEAST_LIMIT_S
 from terrain.level.level_source import LevelSource
+
+_LAYERS = "color", "shadow", "mask", "terrain-rgb", "terrarium"
 
 
 @takes_level
@@ -30,9 +33,13 @@ def seed(
         typer.Option(metavar="A-B", help="First and last zoom; default: from the one that shows all to the one of the cells."),
     ] = None,
     layer: Annotated[
-        str, typer.Option(help="A layer that tiles are served in: color, shadow, mask, terrain-rgb, terrarium.")
+        str,
+        typer.Option(
+            help=f"A layer that tiles are served in: {', '.join(_LAYERS)}.",
+            autocompletion=complete_words(_LAYERS),
+        ),
     ] = "color",
-    format: Annotated[str, typer.Option(help="png, webp or jpg.")] = "png",
+    format: Annotated[str, typer.Option(help="png, webp or jpg.", autocompletion=complete_words(["png", "webp", "jpg"]))] = "png",
     time: Annotated[str | None, typer.Option(help="Date and time, ISO 8601 with an offset, as 2024-10-21T16:30:00-04:00.")] = None,
     times: Annotated[str | None, typer.Option(metavar="T,T,...", help="Several times, an output each.")] = None,
     start: Annotated[str | None, typer.Option("--from", metavar="TIME", help="The first of many times, ...")] = None,

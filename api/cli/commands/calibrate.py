@@ -1,0 +1,20 @@
+"""``skugga calibrate``."""
+
+from __future__ import annotations
+
+import typer
+
+from api.cli.common_options import JsonOption
+from api.cli.progress import ProgressBar
+
+
+def calibrate(as_json: JsonOption = False) -> None:
+    """Calibrate this device for the policy `predict`."""
+    from api.device_calibration import format_calibration
+    from selector.cost.calibration import calibrate as measure
+    from selector.cost.device_profile import save_profile
+
+    with ProgressBar("Calibrating") as advance:
+        profile = measure(advance)
+    path = save_profile(profile)
+    typer.echo(profile.model_dump_json(indent=2) if as_json else format_calibration(profile, path))

@@ -1,0 +1,77 @@
+"""``skugga compare``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from api.cli.common_options import (
+    AltitudeOption,
+    AzimuthOption,
+    BoundsOption,
+    CrsOption,
+    SizeOption,
+    TimeOption,
+    ViewOption,
+    read_bounds,
+    read_size,
+)
+from api.cli.level_argument import takes_level
+from api.cli.progress import ProgressBar
+from api.cli.same_command import same_command
+from terrain.whole_files import write_whole
+
+if TYPE_CHECKING:
+    from terrain.level.level_source import LevelSource
+
+
+@takes_level
+def compare(
+    level: LevelSource,
+    context: typer.Context,
+    view: ViewOption = "map",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write report.html and error pictures.")
+    ] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the rows as JSON.")] = None,
+    time: TimeOption = None,
+    azimuth: AzimuthOption = None,
+    altitude: AltitudeOption = None,
+    size: SizeOption = None,
+    bounds: BoundsOption = None,
+    crs: CrsOption = None,
+    light: Annotated[str | None, typer.Option(help="The light to compare; default: the sun, else the first one.")] = None,
+    fine: Annotated[bool, typer.Option("--fine", help="16 sub-samples a pixel instead of 4.")] = False,
+    time_limit: Annotated[
+        float | None, typer.Option(min=0.0, metavar="S", help="Time limit for all rows and repeats, seconds; default: 70.")
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="ROW", help="Only the row of this name; may be given several times.")
+    ] = None,
+) -> None:
+    """Compare algorithms and settings with ray-traced truth: error against time."""
+    from api.cli.outputs import check_targets
+    from api.cli.snapshot import scene_and_view
+    from api.report.comparison import check_outputs, show, write
+    from selector.measure.compare import TIME_LIMIT_S
+    from selector.measure.compare import compare as measure
+    from terrain.level.level import parse_sun
+
+    sun, shape = parse_sun(time, azimuth, altitude), read_size(size)
+    check_outputs(output, json_file)
+    pictures = [] if output is None else sorted(output.glob("*.png"))
+    check_targets(level, [("--json", json_file), *(("--output", each) for each in pictures)])
+    scene, view_value = scene_and_view(level, view, sun, shape, read_bounds(bounds), crs)
+    with ProgressBar("Comparing") as advance:
+        limit_s = TIME_LIMIT_S if time_limit is None else time_limit
+        comparison = measure(scene, view_value, view, fine, advance, light, limit_s, only=only or ())
+    again = same_command(context, "output", "json_file", "time_limit", "only")
+    show(comparison, again)
+    if output is not None:
+        write(scene, comparison, output, view, again)
+    if json_file is not None:
+        rows = [row.figures for row in comparison.rows]
+        write_whole(json_file, json.dumps(rows, indent=2) + "\n")

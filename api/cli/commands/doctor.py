@@ -1,0 +1,23 @@
+"""``skugga doctor``."""
+
+from __future__ import annotations
+
+import json
+
+import typer
+
+from api.cli.common_options import JsonOption
+
+
+def doctor(as_json: JsonOption = False) -> None:
+    """Check OpenGL and packages of this machine, and name what is missing."""
+    from api.cli.doctor import examine
+
+    findings = examine()
+    if as_json:
+        typer.echo(json.dumps([finding.__dict__ for finding in findings], indent=2))
+    else:
+        for finding in findings:
+            typer.echo(f"{'ok     ' if finding.ok else 'MISSING'}  {finding.subject}: {finding.detail}")
+    if not all(finding.ok for finding in findings):
+        raise typer.Exit(1)

@@ -1,0 +1,27 @@
+"""``skugga init``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from api.cli.level_argument import takes_level
+from terrain.errors import printable
+
+if TYPE_CHECKING:
+    from terrain.level.level_source import LevelSource
+
+
+@takes_level
+def init(
+    level: LevelSource,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Level file to write; default: NAME.yaml.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+) -> None:
+    """Write the level file of a raster, with views, and with comments on what else it may say."""
+    from api.cli.first_level import write_first_level
+
+    path = write_first_level(level, output, force)
+    typer.echo(printable(f"Wrote {path}. To see it: skugga serve {path}"))

@@ -1,0 +1,28 @@
+"""``skugga levels``."""
+
+from __future__ import annotations
+
+import json
+
+import typer
+
+from api.cli.common_options import JsonOption
+
+
+def levels(as_json: JsonOption = False) -> None:
+    """List the bundled levels."""
+    from api.catalogue import bundled_levels
+    from api.level_summary import summary
+
+    rows = [summary(path) for path in bundled_levels()]
+    if as_json:
+        typer.echo(json.dumps(rows, indent=2))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("name", "title", "bounds (west, south, east, north)", "views", box=None)
+    for row in rows:
+        bounds = "flat world" if row["bounds"] is None else ", ".join(f"{v:.3f}" for v in row["bounds"])
+        table.add_row(row["name"], row["title"], bounds, ", ".join(row["views"]))
+    Console().print(table)

@@ -1,0 +1,60 @@
+"""``skugga point``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from api.cli.common_options import JsonOption, TimeOption
+from api.cli.completion import complete_words
+from api.cli.level_argument import takes_level
+from api.point.horizon_formats import HORIZON_FORMATS
+
+if TYPE_CHECKING:
+    from terrain.level.level_source import LevelSource
+
+
+@takes_level
+def sun_at_point(
+    level: LevelSource,
+    at: Annotated[str | None, typer.Option(metavar="LON,LAT", help="The point: degrees; or x,y of --crs.")] = None,
+    crs: Annotated[str | None, typer.Option(metavar="EPSG", help="CRS of the point.")] = None,
+    time: TimeOption = None,
+    date: Annotated[str | None, typer.Option(help="Day, as 2024-10-21; default: that of --time, else today.")] = None,
+    clock: Annotated[str | None, typer.Option(help="solar, utc, +02:00 or Europe/Oslo; default: the offset of --time.")] = None,
+    height: Annotated[float, typer.Option(help="Metres above the ground.")] = 0.0,
+    year: Annotated[int | None, typer.Option(help="Hours of sun of each day of a year.")] = None,
+    horizon: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FORMAT",
+            help=f"Print the horizon instead, or write it to --output: {', '.join(HORIZON_FORMATS)}.",
+            autocompletion=complete_words(HORIZON_FORMATS),
+        ),
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File for --horizon.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the horizon and the sun's paths: .svg or .png.")
+    ] = None,
+    points: Annotated[Path | None, typer.Option(metavar="FILE", help="Many points: .csv (lon, lat), .gpkg, .geojson ...")] = None,
+    line: Annotated[Path | None, typer.Option(metavar="FILE", help="A track: a line of any vector file.")] = None,
+    start: Annotated[str | None, typer.Option(help="When the track begins: ISO 8601 with an offset.")] = None,
+    speed: Annotated[float, typer.Option(help="Along the track, km/h.")] = 4.5,
+    every: Annotated[float, typer.Option(help="Metres between places of the track, at most.", min=0.1)] = 100.0,
+    as_json: JsonOption = False,
+) -> None:
+    """The sun at a point: lit or not and by what, a day's sun, the horizon."""
+    from api.cli.point import PointOptions, check_point_options, report_line, report_point, report_points
+    from terrain.level.level import parse_sun
+
+    sun = parse_sun(time, None, None)
+    asked = PointOptions(at, crs, sun, date, clock, height, year, horizon, output, picture, as_json)
+    check_point_options(asked, points, line, start)
+    if points is not None:
+        report_points(level, points, asked)
+    elif line is not None:
+        report_line(level, line, asked, start, speed, every)
+    else:
+        report_point(level, asked)

@@ -1,0 +1,111 @@
+"""``skugga render``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import typer
+
+from api.cli.common_options import (
+    AltitudeOption,
+    AzimuthOption,
+    BoundsOption,
+    CrsOption,
+    SecondsOption,
+    SizeOption,
+    TimeOption,
+    ViewOption,
+    read_bounds,
+    read_size,
+)
+from api.cli.completion import complete_words
+from api.cli.level_argument import takes_level
+from api.cli.options import overrides_of, with_shadow_options
+from api.cli.outputs import check_targets
+from api.cli.progress import ProgressBar
+from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
+from terrain.errors import InputError
+from terrain.level.level import parse_sun
+from terrain.level.level_source import LevelSource
+from terrain.level.parts import StyleName
+from terrain.whole_files import write_whole
+
+_FRAME_LAYERS = [name for name in LAYERS if name not in PASS_LAYERS]
+_LayerOption = Annotated[
+    str,
+    typer.Option(
+        help=f"{', '.join(_FRAME_LAYERS[:-1])} or {_FRAME_LAYERS[-1]}; or an algorithm's intermediate picture: "
+        f"{', '.join(name for name in LAYERS if name in PASS_LAYERS)}.",
+        autocompletion=complete_words(LAYERS),
+    ),
+]
+_STYLES = ("auto", *get_args(StyleName))
+_StyleOption = Annotated[
+    str | None, typer.Option(help=f"How relief is shaded: {', '.join(_STYLES)}.", autocompletion=complete_words(_STYLES))
+]
+_SlopeExaggerationOption = Annotated[
+    float | None, typer.Option(help="Factor of slopes in shading, 0.1 to 20; cast shadows stay true.")
+]
+
+
+@takes_level
+@with_shadow_options("render")
+def render(
+    level: LevelSource,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", help="File to write; the suffix sets the format. Of a film: .webp, .mp4 or frames/%04d.png."
+        ),
+    ],
+    view: ViewOption = "map",
+    layer: _LayerOption = "color",
+    time: TimeOption = None,
+    azimuth: AzimuthOption = None,
+    altitude: AltitudeOption = None,
+    size: SizeOption = None,
+    bounds: BoundsOption = None,
+    crs: CrsOption = None,
+    light: Annotated[str | None, typer.Option(help="The light to show, for layers of one light.")] = None,
+    style: _StyleOption = None,
+    slope_exaggeration: _SlopeExaggerationOption = None,
+    seconds: SecondsOption = None,
+    start: Annotated[
+        str | None, typer.Option("--from", metavar="TIME", help="Of a film: the first time, or a reading of the clock as 0s, ...")
+    ] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="... the last one, ...")] = None,
+    step: Annotated[str | None, typer.Option(metavar="10m", help="... and what lies between two frames: as 30s, 10m, 1h.")] = None,
+    path: Annotated[
+        Path | None, typer.Option(metavar="CAMERA.yaml", help="Key positions with times of a camera that moves: a film.")
+    ] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames a second of a film that plays; default: 25.")] = None,
+    stats: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach as JSON.")
+    ] = None,
+    **asked: Any,
+) -> None:
+    """Render one snapshot of a level's view into a file; or a film, under a sun or along a path that moves."""
+    from api.cli.film import FilmOptions, render_film
+    from api.cli.snapshot import Appearance, snapshot, statistics
+
+    film = FilmOptions(start, end, step, path, fps)
+    if film.given:
+        if light is not None:
+            raise InputError("--light", light, f"nothing beside {film.given[0]}: films are of all lights")
+        sun, look = parse_sun(time, azimuth, altitude), Appearance(style, slope_exaggeration)
+        view_options = read_size(size), read_bounds(bounds), crs, seconds
+        render_film(level, output, film, view, layer, sun, overrides_of("render", asked), *view_options, look, stats)
+        return
+    check_suffix(layer, output)
+    check_targets(level, [("--output", output), ("--stats", stats)])
+    overrides = overrides_of("render", asked)
+    with ProgressBar("Rendering") as advance:
+        sun, shape = parse_sun(time, azimuth, altitude), read_size(size)
+        kept = frozenset(pass_layer for pass_layer in PASS_LAYERS if pass_layer == layer)
+        look = Appearance(style, slope_exaggeration)
+        scene, frame = snapshot(level, view, sun, overrides, shape, read_bounds(bounds), crs, advance, seconds, kept, look)
+    write_layer(scene, frame.under(light), layer, output)
+    if stats is not None:
+        write_whole(stats, json.dumps(statistics(scene, frame), indent=2) + "\n")

@@ -1,0 +1,145 @@
+"""``skugga select``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args
+
+import typer
+
+from api.cli.common_options import (
+    AltitudeOption,
+    AzimuthOption,
+    BoundsOption,
+    CrsOption,
+    JsonOption,
+    SecondsOption,
+    SizeOption,
+    TimeOption,
+    ViewOption,
+    read_bounds,
+    read_size,
+)
+from api.cli.completion import complete_words
+from api.cli.level_argument import takes_level
+from api.cli.options import overrides_of, with_shadow_options
+from api.cli.outputs import check_targets
+from api.cli.progress import spinner
+from selector.choices import PolicyName
+from terrain.level.level import parse_sun
+from terrain.level.level_source import LevelSource
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from terrain.level.parts import SunSpec
+
+
+@takes_level
+@with_shadow_options("select")
+def select(
+    level: LevelSource,
+    view: ViewOption = "map",
+    policy: Annotated[
+        str,
+        typer.Option(
+            help="rules: fixed rules; predict: cost and error models of this device; probe: the same, corrected by candidates that "
+            "are drawn and compared with ray-traced truth; measure: a probe without a limit of time (minutes).",
+            autocompletion=complete_words(get_args(PolicyName)),
+        ),
+    ] = "probe",
+    budget: Annotated[str | None, typer.Option(metavar="TIME", help="Time of a probe, as 3s (the default) or 1m.")] = None,
+    as_json: JsonOption = False,
+    write: Annotated[bool, typer.Option("--write", help="Pin the choice into the level file.")] = False,
+    all_views: Annotated[
+        bool, typer.Option("--all-views", help="Choose for each view of the level, and for its tiles (map); prints a table.")
+    ] = False,
+    all_scales: Annotated[
+        bool,
+        typer.Option(
+            "--all-scales",
+            help="Probe the level's maps and tiles at all their scales; prints a table. --write keeps what was seen in the user's "
+            "cache: services make plans of tiles by it.",
+        ),
+    ] = False,
+    descriptor: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Write the facts of the view to a file; POST /plan accepts it.")
+    ] = None,
+    time: TimeOption = None,
+    azimuth: AzimuthOption = None,
+    altitude: AltitudeOption = None,
+    size: SizeOption = None,
+    bounds: BoundsOption = None,
+    crs: CrsOption = None,
+    seconds: SecondsOption = None,
+    **asked: Any,
+) -> None:
+    """Choose algorithms and settings for a view, and say why; or for all views of a level."""
+    from api.cli.planning import pin_plan, plan_level_view, write_descriptor
+    from api.report.plan_text import format_plan
+
+    check_targets(level, [("--descriptor", descriptor)])
+    overrides = overrides_of("select", asked)
+    if all_views or all_scales:
+        from api.cli.all_views import refuse_beside
+
+        option = "--all-views" if all_views else "--all-scales"
+        refuse_beside(option, view, {"size": size, "bounds": bounds, "crs": crs, "descriptor": descriptor})
+    if all_scales:
+        refuse_beside("--all-scales", view, {"all-views": all_views or None, "seconds": seconds})
+        _probe_all_scales(level, policy, overrides, parse_sun(time, azimuth, altitude), budget, as_json, write)
+        return
+    if all_views:
+        _select_all(level, policy, budget, overrides, parse_sun(time, azimuth, altitude), seconds, as_json, write)
+        return
+    view_options = parse_sun(time, azimuth, altitude), read_size(size), read_bounds(bounds), crs, seconds
+    with spinner({"measure": "Measuring", "probe": "Probing"}.get(policy, "Choosing")):
+        choice = plan_level_view(level, view, policy, overrides, *view_options, ignore_pin=write, budget=budget)
+        message = pin_plan(choice) if write else None
+    if descriptor is not None:
+        write_descriptor(choice, descriptor)
+    typer.echo(choice.plan.model_dump_json(indent=2) if as_json else format_plan(choice.plan, choice.heading))
+    if message is not None:
+        typer.echo(message, err=True)
+
+
+def _select_all(
+    level: LevelSource,
+    policy: str,
+    budget: str | None,
+    overrides: dict[str, Any],
+    sun: SunSpec | None,
+    seconds: float | None,
+    as_json: bool,
+    write: bool,
+) -> None:
+    from api.cli.all_views import pin_all, plan_all_views, rows_of, table_of
+
+    with spinner("Choosing for all views"):
+        choices = plan_all_views(level, policy, overrides, sun, seconds, ignore_pins=write, budget=budget)
+        message = pin_all(choices) if write else None
+    _print_choices(rows_of(choices), table_of(choices), as_json, message)
+
+
+def _print_choices(rows: list[dict[str, Any]], table: Table, as_json: bool, message: str | None) -> None:
+    """Print choices as JSON or as a table, and what was written."""
+    from rich.console import Console
+
+    if as_json:
+        typer.echo(json.dumps(rows, indent=2))
+    else:
+        Console(width=None if sys.stdout.isatty() else 200).print(table)
+    if message is not None:
+        typer.echo(message, err=True)
+
+
+def _probe_all_scales(
+    level: LevelSource, policy: str, overrides: dict[str, Any], sun: SunSpec | None, budget: str | None, as_json: bool, write: bool
+) -> None:
+    from api.cli.all_scales import probe_all_scales, rows_of_scales, table_of_scales
+
+    with spinner("Probing at all scales"):
+        plans, message = probe_all_scales(level, policy, overrides, sun, budget, write)
+    _print_choices(rows_of_scales(plans), table_of_scales(plans), as_json, message)

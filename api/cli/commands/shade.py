@@ -1,0 +1,60 @@
+"""``skugga shade``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from api.cli.common_options import AltitudeOption, AzimuthOption, BoundsOption, CrsOption, TimeOption, read_bounds
+from api.cli.completion import complete_words
+from api.cli.level_argument import takes_level
+from api.cli.options import overrides_of, with_shadow_options
+from api.cli.outputs import check_targets
+from api.cli.progress import ProgressBar
+from api.cli.times import suns_of
+from api.shade_layers import SHADE_LAYERS
+from terrain.level.level import parse_sun
+from terrain.level.level_source import LevelSource
+
+if TYPE_CHECKING:
+    from api.raster_file import RasterCells
+
+
+@takes_level
+@with_shadow_options("render")
+def shade_raster(
+    level: LevelSource,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="GeoTIFF to write (COG); of several times {time} in its name stands for each.")
+    ],
+    layer: Annotated[str, typer.Option(help=f"{', '.join(SHADE_LAYERS)}.", autocompletion=complete_words(SHADE_LAYERS))] = "mask",
+    time: TimeOption = None,
+    times: Annotated[str | None, typer.Option(metavar="T,T,...", help="Several times, in one run.")] = None,
+    start: Annotated[str | None, typer.Option("--from", metavar="TIME", help="The first of many times, ...")] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="... the last, ...")] = None,
+    step: Annotated[str | None, typer.Option(metavar="15m", help="... and what lies between two: as 15m, 1h or 1d.")] = None,
+    azimuth: AzimuthOption = None,
+    altitude: AltitudeOption = None,
+    bounds: BoundsOption = None,
+    crs: CrsOption = None,
+    resolution: Annotated[float | None, typer.Option(help="Side of a cell, in units of the output CRS.")] = None,
+    like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Write the cells of this raster.")] = None,
+    stac: Annotated[
+        Path | None,
+        typer.Option(metavar="ITEM.json", help="The sun, or the time, of a STAC item, and its finest cells if it has any."),
+    ] = None,
+    **asked: Any,
+) -> None:
+    """Write the shade of a raster of any size, by default on its own grid."""
+    from api.cli.shading import scene_of_item, shade_level
+
+    overrides = overrides_of("render", asked)
+    cells: Path | RasterCells | None = like
+    suns = suns_of(parse_sun(time, azimuth, altitude), times, start, end, step)
+    if stac is not None:
+        check_targets(level, [("--output", output)], stac)
+        suns, cells = scene_of_item(stac, suns, like, free=bounds is None and crs is None and resolution is None)
+    with ProgressBar("Shading") as advance:
+        shade_level(level, output, layer, suns, read_bounds(bounds), crs, resolution, cells, overrides, advance)

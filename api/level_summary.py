@@ -1,0 +1,99 @@
+"""What levels say of themselves: a line in a list, and remarks for their authors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from terrain.errors import InputError, UnsupportedError, all_at_once
+from terrain.level.level import load_level
+from terrain.level.level_source import LevelSource
+from terrain.level.parts import SunSpec
+from terrain.level.pin_scope import suns_left
+from terrain.scene import Scene, build_scene
+
+
+def summary(source: Path | LevelSource) -> dict[str, Any]:
+    """Name, title, bounds in degrees (``None`` in a flat world) and views of a level. Raises ``SkuggaError``."""
+    loaded = load_level(source)
+    bounds = None
+    if loaded.level.terrain.source is not None:  # ground that is made is a flat world, and takes a second to make
+        scene = build_scene(loaded.without_sun)
+        bounds = scene.bounds_lon_lat
+        scene.close()
+    return {"name": loaded.name, "title": loaded.level.title, "bounds": bounds, "views": list(loaded.level.views)}
+
+
+def remarks(source: Path | LevelSource) -> list[str]:
+    """What an author may want to know of a level that is not wrong: all that it names is read, its views and lights are placed,
+    and the algorithms that it asks for can serve each of its views.
+
+    Raises ``SkuggaError``: of what is read and placed for all at once.
+    """
+    from selector.select import plan_of_view
+
+    scene = build_scene(load_level(source))
+    objects, is_generated = scene.objects, scene.loaded.level.terrain.source is None
+    _read_all(scene)
+    for name, seen in _planned(scene):
+        try:
+            plan_of_view(seen, seen.view(name), name, policy="rules")
+        except UnsupportedError as error:
+            raise UnsupportedError(f"{scene.loaded.path}: {error.name}", f"{error.value} in view {name}", error.allowed) from None
+    elevation, notes = scene.elevation, []
+    low, high = scene.height_range_m
+    notes.append(
+        f"{elevation.cols} x {elevation.rows} cells of about {elevation.cell_size_m(scene.world.metres_per_unit):.3g} m, "
+        f"heights {low:.0f} to {high:.0f} m, {elevation.crs.name}"
+    )
+    if objects.trees is not None:
+        heights = objects.trees.height_m
+        notes.append(f"{len(heights)} trees, {heights.min():.1f} to {heights.max():.1f} m high")
+    if objects.solids is not None:
+        solids = objects.solids
+        notes.append(f"{len(solids.closed)} meshes of {len(solids.triangles)} triangles, {sum(solids.closed)} of them closed")
+    if scene.lamps:
+        notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))
+    if movers := scene.loaded.level.movers:
+        notes.append(f"moves by the clock: {', '.join(movers)}")
+    notes += [f"warning: {text}" for text in scene.warnings]
+    if elevation.units is None and not is_generated:
+        notes.append("no vertical unit in the raster: heights are taken as metres; set terrain.units if that is wrong")
+    if scene.world.flat and not is_generated:
+        notes.append("an engineering CRS is not georeferenced: no web tiles, and the sun by azimuth and altitude only")
+    return notes
+
+
+def _planned(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    """The views, each with a scene under a sun, whose plans say whether what a level asks of the shadows can be served."""
+    level = scene.loaded.level
+    for name in level.views if level.views and level.shadows.algorithm != "auto" else ("map",):
+        yield name, scene
+    pins = level.shadows.pins
+    azimuth = 180.0 if scene.sun is None else scene.sun.azimuth_deg
+    for number, pin in enumerate(pins):
+        for name in level.views if level.views and pin.view is None else (pin.view or "map",):
+            if pin.sun_altitude_deg is None and scene.sun is None:
+                yield name, scene
+            for low, high in suns_left(pins, number, name):
+                if high > 0.0:
+                    yield name, scene.with_sun(SunSpec(azimuth=azimuth, altitude=(max(low, 0.0) + high) / 2))
+
+
+def _read_all(scene: Scene) -> None:
+    """Place a level's views and read the files that it names. Raises one ``InputError`` for all that is wrong with them."""
+    from terrain.gbuffer.picture import imagery_of
+
+    objects = scene.objects
+    wrong: list[InputError] = []
+    reads: list[Callable[[], object]] = [partial(scene.view, name) for name in scene.loaded.level.views]
+    reads += [lambda: imagery_of(scene), lambda: objects.placement, lambda: objects.trees, lambda: scene.lamps]
+    for read in reads:
+        try:
+            read()
+        except InputError as error:
+            wrong.append(error)
+    if wrong:
+        raise all_at_once(wrong)

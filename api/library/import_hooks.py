@@ -1,0 +1,92 @@
+"""Functions that wait for a module: they are called once it has been imported, and do not import it."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+Hook = Callable[[ModuleType], object]
+
+
+def call_after_import(name: str, hook: Hook) -> Callable[[], None]:
+    """Call ``hook`` with a module as soon as it has been imported, now if it has been already.
+
+    Parameters
+    ----------
+    name
+        The full name of the module, which need not be installed.
+    hook
+        What is called, once. What it raises, the import raises.
+
+    Returns
+    -------
+    Callable
+        Cancels a hook that has not been called yet.
+    """
+    module = sys.modules.get(name)
+    if module is not None:
+        hook(module)
+        return lambda: None
+    _FINDER.add(name, hook)
+    return lambda: _FINDER.cancel(name, hook)
+
+
+class _Finder(MetaPathFinder):
+    """Finds the modules that hooks wait for where other finders find them, and has their loaders call the hooks."""
+
+    def __init__(self) -> None:
+        self._hooks: dict[str, list[Hook]] = {}
+        self._searching = threading.local()
+
+    def add(self, name: str, hook: Hook) -> None:
+        self._hooks.setdefault(name, []).append(hook)
+        if self not in sys.meta_path:
+            sys.meta_path.insert(0, self)
+
+    def cancel(self, name: str, hook: Hook) -> None:
+        if hook in self._hooks.get(name, ()):
+            self._hooks[name].remove(hook)
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        if not self._hooks.get(name) or getattr(self._searching, "name", None) == name:
+            return None
+        self._searching.name = name
+        try:
+            spec = importlib.util.find_spec(name)  # by all finders, this one apart
+        finally:
+            self._searching.name = None
+        if spec is not None and hasattr(spec.loader, "exec_module"):
+            spec.loader = _HookedLoader(spec.loader, lambda module: self._call(name, module))
+        return spec
+
+    def _call(self, name: str, module: ModuleType) -> None:
+        for hook in self._hooks.pop(name, ()):
+            hook(module)
+
+
+_FINDER = _Finder()
+
+
+class _HookedLoader(Loader):
+    """Loads a module with its own loader, which the module has for its loader from then on, and calls a function."""
+
+    def __init__(self, loader: Any, loaded: Hook) -> None:
+        self._loader, self._loaded = loader, loaded
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        return self._loader.create_module(spec)
+
+    def exec_module(self, module: ModuleType) -> None:
+        assert module.__spec__ is not None
+        module.__loader__ = module.__spec__.loader = self._loader
+        self._loader.exec_module(module)
+        self._loaded(module)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._loader, name)

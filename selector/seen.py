@@ -1,0 +1,21 @@
+"""What was seen of a choice that was drawn."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Seen(BaseModel):
+    """What was seen of a choice, by its name: its error (as targets count it), what is wrong inside, and milliseconds; with the
+    standard deviations of their logarithms (``selector.cost.error_model.log_error``, ``log_interior``).
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    choice: str
+    error: float = Field(ge=0, le=1)
+    error_noise: float = Field(ge=0)
+    interior: float = Field(ge=0, le=1)
+    interior_noise: float = Field(ge=0)
+    ms: float = Field(ge=0)
+    ms_noise: float = Field(ge=0)

@@ -1,0 +1,117 @@
+"""``import skugga``: names that are imported when they are used are there all the same, and so is xarray's accessor."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import pickle
+import pydoc
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import skugga
+
+ROOT = Path(__file__).parents[1]
+
+
+def run(code: str) -> str:
+    """What a fresh Python prints; warnings are errors there, but for those of affine, which rioxarray brings about."""
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-W", "ignore::PendingDeprecationWarning", "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def typed_names() -> dict[str, tuple[str, str]]:
+    """The names of ``skugga`` as type checkers see them: module and name there."""
+    (block,) = (node for node in ast.parse((ROOT / "skugga.py").read_text("utf-8")).body if isinstance(node, ast.If))
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    return {alias.asname or alias.name: (str(node.module), alias.name) for node in imports for alias in node.names}
+
+
+def test_every_name_is_what_type_checkers_take_it_for():
+    typed = typed_names()
+    assert sorted(typed) == sorted(skugga.__all__)
+    for name, (module, attribute) in typed.items():
+        assert getattr(skugga, name) is getattr(importlib.import_module(module), attribute), name
+
+
+def test_names_are_listed_before_they_are_used():
+    """By ``dir``, and so by completion in a shell."""
+    assert run("import skugga; print(set(skugga.__all__) <= set(dir(skugga)), 'shadow' in vars(skugga))") == "True False"
+
+
+def test_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'skugga' has no attribute 'shadows_of'"):
+        skugga.shadows_of  # noqa: B018
+    with pytest.raises(ImportError, match="cannot import name 'shadows_of' from 'skugga'"):
+        exec("from skugga import shadows_of")
+
+
+def test_names_are_imported_by_star():
+    assert run("from skugga import *; print(shadow.__name__, OpenLevel.__name__)") == "shadow OpenLevel"
+
+
+def test_help_tells_of_every_name():
+    text = pydoc.plain(pydoc.render_doc(skugga))
+    for name in ("class OpenLevel", "open_level(", "shadow(", "sunlit("):
+        assert name in text, name
+
+
+def test_names_are_pickled_as_before():
+    for name in skugga.__all__:
+        value = getattr(skugga, name)
+        assert pickle.loads(pickle.dumps(value)) is value
+
+
+SHADE = """
+import numpy
+heights = numpy.zeros((20, 20), "float32"); heights[10, 10] = 50
+array = xarray.DataArray(heights, dims=("y", "x"), coords={"y": 600.0 - 30 * numpy.arange(20), "x": 30.0 * numpy.arange(20)})
+print(int(array.rio.write_crs("EPSG:32633").skugga.shadow(azimuth=180, altitude=20).sum()) > 2)
+"""
+
+
+@pytest.mark.parametrize("imports", ["import skugga, xarray", "import xarray, skugga", "import skugga, rioxarray, xarray"])
+def test_arrays_of_xarray_have_the_accessor(imports):
+    """Whoever is imported first; warnings are errors there."""
+    pytest.importorskip("rioxarray")
+    assert run(f"{imports}\n{SHADE}") == "True"
+
+
+def test_xarray_is_not_imported_for_its_accessor():
+    assert run("import skugga, sys; print('xarray' in sys.modules)") == "False"
+
+
+def test_accessor_is_imported_when_it_is_used():
+    pytest.importorskip("rioxarray")
+    code = (
+        "import skugga, xarray, sys; name = 'api.library.accessor'; before = name in sys.modules;"
+        "print(hasattr(xarray.DataArray, 'skugga'), before, type(xarray.DataArray([1]).skugga).__name__)"
+    )
+    assert run(code) == "True False SkuggaAccessor"
+
+
+def test_accessor_is_registered_once_though_skugga_is_imported_anew():
+    pytest.importorskip("rioxarray")
+    assert run("import skugga, xarray, importlib; importlib.reload(skugga); print(xarray.DataArray.skugga.__name__)") == "_accessor"
+
+
+def test_there_is_no_accessor_without_rioxarray():
+    pytest.importorskip("xarray")
+    assert (
+        run("import sys; sys.modules['rioxarray'] = None; import skugga, xarray; print(hasattr(xarray.DataArray, 'skugga'))")
+        == "False"
+    )
+
+
+def test_xarray_need_not_be_installed():
+    assert run("import sys; sys.modules['xarray'] = None; import skugga; print(skugga.shadow.__name__)") == "shadow"
