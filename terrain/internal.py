@@ -9,6 +9,9 @@ from typing import Any, ParamSpec, TypeVar
 import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.dispatcher import Dispatcher
+
+from terrain.compiling.loop_cache import LoopCache
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -35,6 +38,8 @@ def internal(function: Callable[P, R]) -> Callable[P, R]:
         pipeline_class=_InternalCompiler, no_cpython_wrapper=True, no_cfunc_wrapper=True, nogil=True, error_model="numpy",
         fastmath=False,
     )(function)  # fmt: skip
+    if isinstance(loop, Dispatcher):  # else a plain function, where numba is told not to compile
+        vars(loop)["_cache"] = LoopCache(loop, is_stored=False)
     return loop
 
 
