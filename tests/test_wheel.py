@@ -48,7 +48,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     site = next((folder / "env" / "lib").glob("python*/site-packages"))
     # Packages by a path: an editable installation of Skugga there is not followed.
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
-    subprocess.run([sys.executable, "-m", "pip", "install", "-qq", "--no-deps", "--target", site, wheel], check=True)
+    subprocess.run([sys.executable, "-m", "pip", "--python", python, "install", "-qq", "--no-deps", wheel], check=True)
     for path in [site, *site.rglob("*")]:
         path.chmod(path.stat().st_mode & ~0o222)
     return python
