@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, NoReturn, ParamSpec, TypeVar
 
 import numba
 from numba.core.codegen import JITCodeLibrary
@@ -31,16 +30,19 @@ def internal(function: Callable[P, R]) -> Callable[P, R]:
     callable
         What compiled loops call.
     """
-    loop: Callable[P, R] = numba.njit(
-        pipeline_class=_InternalCompiler, no_cpython_wrapper=True, no_cfunc_wrapper=True, nogil=True, error_model="numpy",
-        fastmath=False,
-    )(function)  # fmt: skip
+    options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "error_model": "numpy", "fastmath": False}
+    loop: Any = numba.njit(pipeline_class=_InternalCompiler, **options)(function)
+    loop._insert = _keep_from_python
+    loop._compile_for_args = _refuse
     return loop
 
 
-@ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object, ctypes.py_object, ctypes.py_object)
-def _refuse(environment: object, args: object, keywords: object) -> object:
-    """Stand where Python would call an internal loop."""
+def _keep_from_python(*signature: object, **options: object) -> None:
+    """Stand for what would put a compiled loop where a call of Python finds it."""
+
+
+def _refuse(*args: object, **keywords: object) -> NoReturn:
+    """Stand for what a call of Python does that finds no compiled loop."""
     raise TypeError("an internal loop can be called by compiled loops alone")
 
 
@@ -51,27 +53,28 @@ class _NoEnvironment:
         """Drop it."""
 
 
-class _LinkedLibrary(JITCodeLibrary):  # type: ignore[misc]
+class _LinkedLibrary(JITCodeLibrary):
     """Code that is linked into other libraries, which optimise it and make machine code of it."""
 
     @property
     def codegen(self) -> Any:
         return _NoEnvironment()
 
-    def get_pointer_to_function(self, name: str) -> int | None:
-        return ctypes.cast(_refuse, ctypes.c_void_p).value
+    def get_pointer_to_function(self, name: str) -> int:
+        return 0
 
     def _optimize_final_module(self) -> None:
         """Leave that to the libraries that this one is linked into."""
 
     def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
         self._finalized = True
 
 
-class _InternalCompiler(Compiler):  # type: ignore[misc]
+class _InternalCompiler(Compiler):
     """Numba's compiler, writing to a ``_LinkedLibrary``."""
 
     def define_pipelines(self) -> Any:
-        self.state.library = _LinkedLibrary(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
-        return super().define_pipelines()
+        name = self.state.func_id.func_qualname
+        self.state.library = _LinkedLibrary(self.state.targetctx.codegen(), name)  # type: ignore[no-untyped-call]
+        return super().define_pipelines()  # type: ignore[no-untyped-call]
