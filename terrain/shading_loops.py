@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.resolve import FOREST, RELIEF
-from terrain.internal import internal
 from terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M
 
 SHOULDER, SHOULDER_LEFT = 0.6, 0.4

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
-from terrain.internal import internal
+from terrain.compiled import compiled, internal
 
 MAX_DEPTH_RUNS = 3
 """Runs of depth that a texel keeps."""

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shadows.maps.windows import DepthMap
-from terrain.compiled import compiled, in_shares
-from terrain.internal import internal
+from terrain.compiled import compiled, in_shares, internal
 
 
 class SunMap(NamedTuple):

@@ -17,8 +17,7 @@ from shadows.point.place import PointPlace
 from shadows.point.relief_pages import TILE_QUADS, detail_ends, paged_relief, quad_height
 from shadows.point.sight_lines import SightLines, sight_lines
 from terrain.casters.reach import PATCH_QUADS, longest_shadow_m
-from terrain.compiled import compiled
-from terrain.internal import internal
+from terrain.compiled import compiled, internal
 from terrain.scene import Scene
 
 NO_GROUND = -1e30

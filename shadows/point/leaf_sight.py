@@ -13,9 +13,8 @@ import numpy as np
 
 from shadows.point.directions import Directions, ends_towards
 from shadows.point.solid_sight import LEAST_AWAY_M, Sighting, azimuth_of
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.tree_instances import TreeInstances, tree_corner
-from terrain.internal import internal
 from terrain.trees.foliage import TEXTURE_PX, THRESHOLD, foliage
 
 STEP = 1e-4

@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shadows.point.directions import Directions, ends_towards
-from terrain.compiled import compiled
-from terrain.internal import internal
+from terrain.compiled import compiled, internal
 
 LEAST_AWAY_M = 1e-6
 """What is nearer than this to the vertical through the point is as far away."""

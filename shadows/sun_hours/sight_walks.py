@@ -19,11 +19,10 @@ from shadows.sun_hours.suns import WindowSun, lattice_of
 from shadows.sweep.grid import GridOrientation
 from shadows.sweep.rays import patch_windows
 from terrain.casters.reach import Patch
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.bare_nodes import BareNodes
 from terrain.geo.world import World
 from terrain.ground.surface import NodeHeights
-from terrain.internal import internal
 from terrain.scene import Scene
 
 PASSED_TILE, PASSED_BLOCK = 8, 64

@@ -24,8 +24,7 @@ import numpy as np
 from shadows.sun_hours.quadratics import quadratic
 from shadows.sun_hours.sight_walks import SunTrack, WalkedGround, free_tangent
 from shadows.sweep.grid import GridOrientation, copy_into
-from terrain.compiled import compiled
-from terrain.internal import internal
+from terrain.compiled import compiled, internal
 
 UNSHADED = np.float32(1e6)
 """Clearance where nothing lies between a cell and the sun: how far it is from being shaded is not known."""

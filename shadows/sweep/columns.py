@@ -27,12 +27,11 @@ from shadows.sweep.grid import BENT_CELLS, LATTICE, RAYS_BEND_REASON
 from shadows.sweep.points import cubic
 from shadows.sweep.rays import SunRays, rays_over
 from terrain.casters.reach import PATCH_QUADS, Casters
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.errors import UnsupportedError
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import RELIEF
 from terrain.ground.columns import Columns, PlacedOnColumns
-from terrain.internal import internal
 from terrain.scene import Scene
 
 BAND_CELLS = 16

@@ -18,8 +18,7 @@ import numpy as np
 
 from shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_grid, turned_levels
 from shadows.sweep.points import cubic, ground_at, is_cut
-from terrain.compiled import compiled
-from terrain.internal import internal
+from terrain.compiled import compiled, internal
 
 NO_HORIZON_SLOPE = -1e30
 """Slope of a horizon without any ground: a number, not infinity, so that it can be interpolated."""

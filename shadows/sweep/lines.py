@@ -29,8 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shadows.sweep.points import cubic, cubic_of, on_column, see_points
-from terrain.compiled import compiled
-from terrain.internal import internal
+from terrain.compiled import compiled, internal
 
 NO_GROUND_LEVEL = np.float32(-1e30)
 """Level of a line that has met nothing: a number, not infinity, so that it can be interpolated."""

@@ -12,9 +12,8 @@ import numpy as np
 
 from shadows.volumes.edges import Edges, connected_parts
 from shadows.volumes.silhouettes import Silhouette, homogeneous, silhouette
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.errors import InputError
-from terrain.internal import internal
 
 MAX_STENCIL_LAYERS = 255
 """The largest number of layers that a stencil of 8 bits holds."""

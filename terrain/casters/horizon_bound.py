@@ -27,14 +27,13 @@ import numpy as np
 
 from terrain.cache import MIB, Cache, Missing, cached
 from terrain.casters.reach import PATCH_QUADS, Patch, Receivers
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.geo.world import EARTH_RADIUS_M, World
 from terrain.ground.elevation import Elevation
 from terrain.ground.extremes import widen
 from terrain.ground.surface import RefinedWindow, Surface, refined_row
-from terrain.internal import internal
 from terrain.scene import Scene
 
 DISC_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))

@@ -19,9 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.ground.sheet import Sheet
-from terrain.internal import internal
 
 WALKING_THREADS = min(os.cpu_count() or 1, 8)
 

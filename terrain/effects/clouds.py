@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
 from terrain.effects.haze import farthest_mesh_m
 from terrain.facts.coarse_view import CoarseView
@@ -25,7 +25,6 @@ from terrain.ground.elevation import Elevation
 from terrain.ground.noise import OCTAVE_GAIN, noise_at
 from terrain.ground.surface import map_pixel_m
 from terrain.ground.visible_cells import CellRange, full_cell_range, visible_cells
-from terrain.internal import internal
 from terrain.scene import Scene
 from terrain.shading import daylight_of, night_of
 from terrain.shading_loops import dusk_of

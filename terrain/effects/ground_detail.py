@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
@@ -26,7 +26,6 @@ from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.noise import noise_along
-from terrain.internal import internal
 from terrain.scene import Scene
 from terrain.shading import SHORE_M
 

@@ -32,7 +32,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.effects.effect import Effect, ShadingBlock, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
@@ -42,7 +42,6 @@ from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_pers
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame, geodetic
-from terrain.internal import internal
 from terrain.scene import Scene
 from terrain.shading import daylight_of
 from terrain.shading_loops import shoulder

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
@@ -13,7 +13,6 @@ from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.noise import fractal_at
-from terrain.internal import internal
 from terrain.scene import Scene
 from terrain.shading import SHORE_M
 

@@ -23,7 +23,7 @@ from math import erf
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.effects.effect import Effect, ShadingBlock, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
@@ -34,7 +34,6 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.elevation import Elevation
 from terrain.ground.visible_cells import CellRange, block_slices, visible_cells
-from terrain.internal import internal
 from terrain.level.level import SUN
 from terrain.scene import Scene
 from terrain.shading import SHORE_M, daylight_of, exposure_of, in_shade, look_of, night_of, srgb_encoded, water_in

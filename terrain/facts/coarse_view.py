@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.antialias import CROSS, edges_between, edges_in_neighbours, mesh_normals
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
@@ -24,7 +24,6 @@ from terrain.gbuffer.id_buffer import NEAR_M, IdBuffer
 from terrain.gbuffer.picture import buffer_of, solids_in
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.world import LocalFrame
-from terrain.internal import internal
 from terrain.scene import Scene
 
 COARSE_STEP_PX = 8

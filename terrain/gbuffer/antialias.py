@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import NEAR_M
 from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of, imagery_of
 from terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
-from terrain.internal import internal
 from terrain.meshes.facets import face_normals
 from terrain.scene import Scene
 from terrain.scene_objects import SceneObjects

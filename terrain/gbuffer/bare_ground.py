@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.geometry import normal_reach
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame, World
@@ -28,7 +28,6 @@ from terrain.ground.sky_view_factor import (
     square_of_lattice,
 )
 from terrain.ground.surface import Surface, at_height, between_columns, between_rows, map_pixel_m
-from terrain.internal import internal
 from terrain.scene import Scene
 
 

@@ -15,11 +15,10 @@ from typing import Literal
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, Grid, MapView
 from terrain.ground.surface import map_pixel_m
-from terrain.internal import internal
 from terrain.level.level import SUN
 from terrain.scene import Scene
 

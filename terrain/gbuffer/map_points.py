@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.lift import is_smooth, lift_to, up_at
-from terrain.internal import internal
 
 ON_EDGE = 1e-6
 """How near to a facet's edge, in cells, a point lies on it: what rounding puts to one side or the other is shared by both."""

@@ -10,10 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.gbuffer.lift import is_smooth, lift_to
 from terrain.gbuffer.tree_instances import tree_corner
-from terrain.internal import internal
 
 CROWN_MIDDLE, CROWN_HALF = 0.55, 0.47
 """Height of a crown's middle, and half the crown's height, as shares of a tree's."""

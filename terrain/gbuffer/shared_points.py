@@ -16,13 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.lift import up_at
 from terrain.gbuffer.map_points import ON_EDGE, crease_at, facet_corners, facets_at
 from terrain.gbuffer.resolve import RELIEF
 from terrain.geo.grid import MapView
-from terrain.internal import internal
 from terrain.lights import LightPosition
 
 STEEPEST = 1.0 / 32.0

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.geo.world import LocalFrame
-from terrain.internal import internal
 from terrain.scene_objects import SceneObjects
 from terrain.trees.foliage import TREE_VARIANTS, leaf_outlines
 from terrain.trees.trees import Trees

@@ -17,10 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.errors import InputError
 from terrain.geo.world import EARTH_RADIUS_M
-from terrain.internal import internal
 
 _PRESENT, _ABSENT, _BOTH = 1, 2, 3
 """What the smallest triangles within a triangle are, as bits; both: it crosses the outline of the data."""

@@ -26,7 +26,7 @@ from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
 from terrain.cache import bytes_of
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
 from terrain.ground.cells import cell_heights
@@ -34,7 +34,6 @@ from terrain.ground.extremes import widen
 from terrain.ground.georeference import crs_of
 from terrain.ground.open_raster import dataset_of_heights
 from terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
-from terrain.internal import internal
 from terrain.level.bundled import BUNDLED
 from terrain.level.gdal_guard import cap_caches
 from terrain.level.parts import METRES_PER_UNIT, GroundSurface, Units

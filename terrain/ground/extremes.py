@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from terrain.internal import internal
+from terrain.compiled import internal
 
 
 @internal

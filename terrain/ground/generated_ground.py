@@ -17,10 +17,9 @@ from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.ground.erosion import drained
 from terrain.ground.noise import fractal, noise_at, ridged_at
-from terrain.internal import internal
 from terrain.level.parts import FlatGround, GeneratedGround, Terrain
 
 ENGINEERING = 'ENGCRS["made ground",EDATUM["made ground"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'

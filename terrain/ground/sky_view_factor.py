@@ -20,10 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
-from terrain.internal import internal
 
 LONGEST_NODES = 1024
 """Longest side of the grid on which a raster's horizons are found."""

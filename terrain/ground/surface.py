@@ -14,13 +14,12 @@ from functools import cached_property
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.geo.grid import Grid, MapView, step_at_anchor_m
 from terrain.geo.world import LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
 from terrain.ground.height_tiles import tiled_heights
 from terrain.ground.sheet import Sheet, sheet_of
-from terrain.internal import internal
 
 EXACT_SPACING_M = 16000.0
 """Largest distance between exactly computed nodes: the cubic's error there is below 0.1 mm on the globe."""

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled, in_shares
-from terrain.internal import internal
+from terrain.compiled import compiled, in_shares, internal
 
 
 class FacesRound(NamedTuple):
