@@ -9,11 +9,11 @@ import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
-P = ParamSpec("P")
-R = TypeVar("R")
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 
-def internal(function: Callable[P, R]) -> Callable[P, R]:
+def internal(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Compile ``function`` for compiled loops alone, by the rules of ``terrain.compiled.compiled``.
 
     Numba optimises each loop by itself, makes machine code of it and wraps that for Python and for C, and then does it all again
