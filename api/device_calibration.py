@@ -10,7 +10,6 @@ from api.report.plan_text import LINE_WIDTH, display_name
 from selector.cost.device_profile import DeviceProfile, load_profile
 from selector.formatting import format_duration, format_percent
 from shadows.registry import ALGORITHMS
-from terrain.gl import device as gl
 from terrain.level.level import Shadows
 
 
@@ -24,6 +23,8 @@ def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfil
 
 def calibration() -> DeviceProfile | None:
     """The calibration of the device that this process draws with; ``None`` where there is none, or no OpenGL."""
+    from terrain.gl import device as gl
+
     return load_profile(*gl.renderer_and_version())
 
 

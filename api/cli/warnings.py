@@ -6,7 +6,6 @@ import sys
 
 import typer
 
-from api.report.plan_text import format_sun
 from terrain.errors import printable
 from terrain.scene import Scene
 
@@ -20,5 +19,7 @@ def say_warnings(scene: Scene) -> None:
 def say_own_sun(scene: Scene) -> None:
     """On a terminal, which sun is taken where none was asked for: a picture does not show that nobody chose it."""
     if sys.stderr.isatty():
+        from api.report.plan_text import format_sun
+
         said = f"{scene.loaded.name} is drawn with its own light, {format_sun(scene.sun)}; --time says another"
         typer.echo(printable(f"skugga: {said}"), err=True)

@@ -6,9 +6,7 @@ import datetime
 from typing import Any
 
 import numpy as np
-from affine import Affine
 
-from api.library.opened_level import open_heights
 from shadows.sweep.grid import CellSize, sunlit
 
 
@@ -39,6 +37,10 @@ def sun_hours_of_array(
     ``height_m`` and ``cell_m`` are as in ``shadow``, and north is up in the middle; ``rules`` are those of ``OpenLevel.sun_hours``.
     Raises ``SkuggaError``, and ``ValueError`` for heights that are no grid.
     """
+    from affine import Affine
+
+    from api.library.opened_level import open_heights
+
     height_m = np.asarray(height_m, np.float32)
     if height_m.ndim != 2:
         raise ValueError(f"height_m has the shape {height_m.shape}; it must be (rows, cols)")

@@ -8,7 +8,6 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
-import shapely
 
 from api.point.report import around_point, clock_asked, day_asked, sun_now
 from api.point.values import MAX_POINTS, PointAnswerRow, PointQuery, TrackPoint
@@ -16,7 +15,6 @@ from shadows.point.sun_angles import sun_directions
 from shadows.point.sun_day import hours_between_looks
 from terrain.errors import InputError, SourceError
 from terrain.geo.sun import Sun
-from terrain.geo.vectors import numbers, read_features
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84
 from terrain.level.level import parse_sun
 from terrain.scene import Scene
@@ -38,6 +36,10 @@ def read_points(path: Path, height_m: float = 0.0) -> list[TrackPoint]:
 
 def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackPoint]:
     """The points of a line, at its corners and every so many metres between. Raises as ``read_points``."""
+    import shapely
+
+    from terrain.geo.vectors import read_features
+
     features = read_features(str(path), LONGITUDE_LATITUDE)
     lines = [part for part in shapely.get_parts(features.geometry) if part.geom_type == "LineString"]
     if not lines:
@@ -132,6 +134,8 @@ def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
 
 
 def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
+    from terrain.geo.vectors import numbers, read_features
+
     features = read_features(str(path), LONGITUDE_LATITUDE, usual=(*TIME_FIELDS, *HEIGHT_FIELDS))
     kinds = {geometry.geom_type for geometry in features.geometry}
     if kinds != {"Point"}:

@@ -1,0 +1,101 @@
+"""Loops of an elevation: where places lie on a level of its cells, and the heights between these."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from terrain.compiled import compiled
+from terrain.ground.extremes import widen
+
+
+@compiled
+def on_level(row, col, factor, rows, cols):
+    """Rows and columns on a level of ``rows`` x ``cols`` cells, for those of level 0, NaN beside it; and the least and the greatest
+    of both (2, 2), infinite without any. Where columns have no end (``cols`` infinite) they are given on the level itself.
+    """
+    out_row, out_col = np.empty(row.shape), np.empty(row.shape)
+    ends = np.empty((4, row.shape[1]))  # column by column
+    ends[0], ends[1], ends[2], ends[3] = np.inf, -np.inf, np.inf, -np.inf
+    for i in range(row.shape[0]):
+        _row_on_level(row[i], col[i], factor, rows, cols, out_row[i], out_col[i])
+        widen(out_row[i], ends[0], ends[1])
+        widen(out_col[i], ends[2], ends[3])
+    found = np.array([[np.inf, -np.inf], [np.inf, -np.inf]])
+    for j in range(row.shape[1]):
+        for axis in range(2):
+            found[axis, 0] = min(found[axis, 0], ends[2 * axis, j])
+            found[axis, 1] = max(found[axis, 1], ends[2 * axis + 1, j])
+    return out_row, out_col, found
+
+
+# The next loops are written so that they compile to vector instructions. What is NaN is neither less nor greater.
+
+
+@compiled
+def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
+    endless = cols == np.inf
+    for j in range(out_row.size):
+        r, c = (row[j] + 0.5) / factor - 0.5, col[j] if endless else (col[j] + 0.5) / factor - 0.5
+        known = np.isfinite(c) & (r >= -0.5) & (r <= rows - 0.5) & (endless | ((c >= -0.5) & (c <= cols - 0.5)))
+        out_row[j], out_col[j] = r if known else np.nan, c if known else np.nan
+
+
+@compiled
+def bilinear(values, valid, row, col, row0, col0):
+    """Bilinear heights at (row, col) of a window that begins at (row0, col0), clamped beyond its outer centres; and the nearest
+    cell's validity.
+    """
+    rows, cols = values.shape
+    out = np.empty(row.shape, np.float32)
+    there = np.empty(row.shape, np.bool_)
+    corner, nearest = np.empty((2, row.shape[1]), np.int32), np.empty((2, row.shape[1]), np.int32)
+    beyond, four = np.empty((2, row.shape[1])), np.empty((4, row.shape[1]), np.float32)
+    whole = valid.all()
+    for i in range(row.shape[0]):
+        _cells_before(row[i], row0, rows, corner[0], nearest[0], beyond[0])
+        _cells_before(col[i], col0, cols, corner[1], nearest[1], beyond[1])
+        _look_up(values, corner[0], corner[1], four)
+        _between(four[0], four[1], four[2], four[3], beyond[0], beyond[1], out[i])
+        if whole:
+            for j in range(row.shape[1]):
+                there[i, j] = not np.isnan(row[i, j])
+        else:
+            for j in range(row.shape[1]):
+                there[i, j] = not np.isnan(row[i, j]) and valid[nearest[0, j], nearest[1, j]]
+    return out, there
+
+
+@compiled
+def _cells_before(at, first, count, before, nearest, beyond):
+    """Along an axis of ``count`` cells from ``first`` on: the cell before a place and the nearest one, clamped, and the share of
+    the way to the next. Where a place is none that is NaN, and the cells are any.
+    """
+    last = max(count - 2.0, 0.0)
+    for j in range(at.size):
+        place = at[j] - first
+        inside = min(max(place if place == place else 0.0, 0.0), count - 1.0)
+        before[j] = np.int32(min(inside, last))
+        nearest[j] = np.int32(min(inside + 0.5, count - 1.0))
+        beyond[j] = (inside if place == place else np.nan) - before[j]
+
+
+@compiled
+def _look_up(values, row, col, out):
+    """The values (4, n) of cells and of those right of them, and of both below."""
+    rows, cols = values.shape
+    for j in range(row.size):
+        r, c = row[j], col[j]
+        below, right = min(r + 1, rows - 1), min(c + 1, cols - 1)
+        out[0, j], out[1, j], out[2, j], out[3, j] = values[r, c], values[r, right], values[below, c], values[below, right]
+
+
+@compiled
+def _between(north_west, north_east, south_west, south_east, down, across, out):
+    """Between four cells; what a place is not beyond plays no part, though it be missing."""
+    for j in range(out.size):
+        north, south = np.float64(north_west[j]), np.float64(south_west[j])
+        east, south_of_it = np.float64(north_east[j]), np.float64(south_east[j])
+        north = north + (east - north) * across[j] if across[j] > 0.0 else north
+        south = south + (south_of_it - south) * across[j] if across[j] > 0.0 else south
+        height = north + (south - north) * down[j] if down[j] > 0.0 else north
+        out[j] = height if down[j] == down[j] else np.nan
