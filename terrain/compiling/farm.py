@@ -24,7 +24,6 @@ from types import CodeType
 from typing import Any, NamedTuple
 
 from numba.core.dispatcher import Dispatcher
-from numba.core.errors import NumbaError
 
 from terrain.compiling.loop_cache import LoopCache, loop_store
 from terrain.compiling.signatures import recorded_signatures
@@ -186,7 +185,7 @@ def _compile_until_closed(pipe: Connection, tasks: Sequence[Task], foreign: Sequ
         loop, args, _ = tasks[number]
         try:
             loop.compile(args)
-        except NumbaError as error:  # a list that is behind: the loop takes other types now
+        except Exception as error:  # numba raises many kinds; a list that is behind: the loop takes other arguments now
             print(f"skugga: {loop.py_func.__module__}.{loop.py_func.__name__} is not compiled ahead: {error}", file=sys.stderr)
         pipe.send(number)
 
