@@ -12,26 +12,46 @@ import subprocess
 import sys
 from pathlib import Path
 
-from terrain.compiling.ahead import PRODUCTS
 from terrain.compiling.bundle import FOLDER, TARGET, VERSIONS, installed_versions
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
+COMPILE = """
+import shutil, subprocess, sys
+from terrain.compiling.ahead import PRODUCTS, compile_ahead
+from terrain.compiling.farm import named_tasks
+from terrain.compiling.loop_cache import loop_store
+from terrain.compiling.store import SUFFIX
+compile_ahead(PRODUCTS, int(sys.argv[1]))
+for _, name in named_tasks(PRODUCTS):
+    shutil.copy(loop_store().folder / (name + SUFFIX), sys.argv[2])
+"""
+"""Compiles all loops into the user's store, for another processor than this one, and copies them."""
+
+
 def main(folder: Path) -> None:
     """Compile, build, and remove what was compiled: a clone compiles for its own processor."""
-    environment = {**os.environ, **TARGET, "NUMBA_CACHE_DIR": str(FOLDER)}
     shutil.rmtree(FOLDER, ignore_errors=True)
     shutil.rmtree(ROOT / "build", ignore_errors=True)  # what an earlier build has left would get into the wheel
     try:
-        cores = len(os.sched_getaffinity(0))
-        farm = [sys.executable, "-m", "terrain.compiling.farm", f"--processes={cores}", *PRODUCTS]
-        subprocess.run(farm, env=environment, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
-        for lock in FOLDER.glob(".*"):
-            lock.unlink()
+        FOLDER.mkdir()
+        cores = str(len(os.sched_getaffinity(0)))
+        subprocess.run([sys.executable, "-c", COMPILE, cores, FOLDER], env={**os.environ, **TARGET}, cwd=ROOT, check=True)
+        for entry in FOLDER.iterdir():
+            entry.chmod(0o644)
         (FOLDER / VERSIONS).write_text(json.dumps(installed_versions(), indent=1) + "\n", encoding="utf-8")
-        pip = [sys.executable, "-m", "pip", "wheel", "-qq", "--no-deps", "--wheel-dir", str(folder.resolve()), str(ROOT)]
-        subprocess.run(pip, cwd=ROOT, check=True)
+        pip = [
+            sys.executable,
+            "-m",
+            "pip",
+            "wheel",
+            "-qq",
+            "--no-deps",
+            "--wheel-dir",
+            str(folder.resolve()),
+        ]
+        subprocess.run([*pip, str(ROOT)], cwd=ROOT, check=True)
     finally:
         shutil.rmtree(FOLDER, ignore_errors=True)
         shutil.rmtree(ROOT / "build", ignore_errors=True)

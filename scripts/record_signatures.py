@@ -115,7 +115,7 @@ def views(rasters: Sequence[Path], folder: Path) -> None:
     for path in bundled_levels():
         for name, view in load_level(path).level.views.items():
             if view.kind == "perspective":
-                snapshot(path, name, None, {}, None, None, None)
+                snapshot(path, name, None, {}, (480, 384))
 
 
 def masks(rasters: Sequence[Path], folder: Path) -> None:

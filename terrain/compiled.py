@@ -10,6 +10,7 @@ from typing import Any, ParamSpec, TypeVar
 import numba
 from numba.core.dispatcher import Dispatcher
 
+from terrain.compiling.internal import InternalCompiler, hide_from_python
 from terrain.compiling.loop_cache import LoopCache
 
 P = ParamSpec("P")
@@ -26,17 +27,33 @@ ROW_SHARES = 3
 """Shares of the rows for each of them: some rows take longer than others."""
 
 
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
+"""No fast-math: results must not depend on the machine. The GIL is released: loops run on all cores."""
+
+
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile ``function`` with numba: no fast-math (results must not depend on the machine), GIL released.
+    """Compile ``function`` with numba.
 
     ``terrain.compiling`` stores the machine code for other processes, and notices any change that it depends on. Pass values that
     belong together as a ``NamedTuple``. Make what may be ``None`` a parameter of its own, so that each variant is compiled without
     the code of the others.
     """
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
-    loop = numba.njit(**options)(function)
+    loop = numba.njit(**_OPTIONS)(function)
     if isinstance(loop, Dispatcher):  # else a plain function, where numba is told not to compile
         vars(loop)["_cache"] = LoopCache(loop)
+    return loop
+
+
+def internal(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile ``function`` as a part of the compiled loops that call it. Python cannot call it.
+
+    Use it for every loop that only loops call: it is optimised in its callers alone, and stored with them.
+    """
+    options = {**_OPTIONS, "no_cpython_wrapper": True, "pipeline_class": InternalCompiler}
+    loop = numba.njit(**options)(function)
+    if isinstance(loop, Dispatcher):
+        vars(loop)["_cache"] = LoopCache(loop, is_stored=False)
+        hide_from_python(loop)
     return loop
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M
 
@@ -121,7 +121,7 @@ def _towards_sun(facing, sine, terminator):
     return cosine * share * share * (3.0 - 2.0 * share)
 
 
-@compiled
+@internal
 def _direct_at(sine):
     """Direct light fades in over the first degree of the sun's altitude at a place."""
     if sine > HIGH_SUN_SINE:
@@ -195,12 +195,12 @@ def shade_rows(first, last, shown, look, light_here, centre, glow, albedo, sunli
                 out[i, j, k] = light + veil * (AIR[k] * sky_here - light)
 
 
-@compiled
+@internal
 def _rounded(value):
     return np.float64(np.float32(value))
 
 
-@compiled
+@internal
 def _place_in_tint(height):
     """Which of the heights that a ramp is tabulated at lies below one, and by what share of the way to the next it is beyond."""
     share = min(max((height - TINT_LOW_M) / TINT_STEP_M, 0.0), TINT_COUNT - 1.0)
@@ -208,7 +208,7 @@ def _place_in_tint(height):
     return at, share - at
 
 
-@compiled
+@internal
 def _tinted(tint, at, beyond):
     """The ramp's colour there."""
     return (
@@ -258,7 +258,7 @@ def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, ligh
             _look_up_srgb(there[i], step, table, out[i, :, k])
 
 
-@compiled
+@internal
 def _by_channel(tint):
     """A ramp's colours (3, n), and their luminances (n,)."""
     channels, greys = np.empty((3, len(tint))), np.empty(len(tint))
@@ -269,14 +269,14 @@ def _by_channel(tint):
     return channels, greys
 
 
-@compiled
+@internal
 def _face(normal, to_sun, out):
     """Cosines of normals (n, 3) to the sun."""
     for j in range(out.size):
         out[j] = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
 
 
-@compiled
+@internal
 def _stand(normal, up, out):
     """Cosines of normals (n, 3) to the zenith, of which ``up`` (n, 3) are the directions."""
     for j in range(out.size):
@@ -284,42 +284,42 @@ def _stand(normal, up, out):
         out[j] = normal[j, 0] * x + normal[j, 1] * y + normal[j, 2] * z
 
 
-@compiled
+@internal
 def _steepen(facing, upright, sines, exaggeration, limit):
     """``_on_slope`` of a row."""
     for j in range(facing.size):
         facing[j], upright[j] = _on_slope(facing[j], upright[j], sines[j], exaggeration, limit)
 
 
-@compiled
+@internal
 def _sky_on_row(facing, upright, sines, towards, sky_share, sky_here, out):
     """How much of the sky's light falls on a row's slopes."""
     for j in range(out.size):
         out[j] = sky_share[j] * _sky_on_slope(facing[j], upright[j], sines[j], towards) * sky_here[j]
 
 
-@compiled
+@internal
 def _sun_on_row(facing, sines, terminator, direct):
     """Take a row's direct light to what falls on its slopes."""
     for j in range(direct.size):
         direct[j] *= _towards_sun(facing[j], sines[j], terminator)
 
 
-@compiled
+@internal
 def _place_row(heights, beyond, at):
     """``_place_in_tint`` of a row."""
     for j in range(heights.size):
         at[j], beyond[j] = _place_in_tint(heights[j])
 
 
-@compiled
+@internal
 def _look_up_tint(tints, at, beyond, out):
     for j in range(at.size):
         here = tints[at[j]]
         out[j] = here + (tints[at[j] + 1] - here) * beyond[j]
 
 
-@compiled
+@internal
 def _srgb_steps_of(own, grey, greying, sun, sky, direct, seen, veil, sky_here, air, steps, out):
     """Which of the table's ``steps`` the colour is that ground shows of light, with a shoulder and the veil of air."""
     many = np.float32(steps)
@@ -331,7 +331,7 @@ def _srgb_steps_of(own, grey, greying, sun, sky, direct, seen, veil, sky_here, a
         out[j] = min(np.int32(step if step > 0.0 else 0.0), np.int32(steps - 1))
 
 
-@compiled
+@internal
 def _look_up_srgb(there, step, table, out):
     for j in range(step.size):
         if there[j]:

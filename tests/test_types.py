@@ -16,7 +16,7 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def _is_compiled(function: Function) -> bool:
-    return any(isinstance(each, ast.Name) and each.id == "compiled" for each in function.decorator_list)
+    return any(isinstance(each, ast.Name) and each.id in ("compiled", "internal") for each in function.decorator_list)
 
 
 def _is_bare(function: Function) -> bool:

@@ -16,6 +16,7 @@ import typer
 
 from api.cli.lazy_commands import CommandGroup
 from api.errors import exit_status
+from terrain.compiling.bundle import use_bundled_loops
 from terrain.compiling.hooks import compiled_by
 from terrain.errors import InputError, SkuggaError, printable
 from terrain.level.gdal_guard import cap_caches, forbid_code
@@ -51,6 +52,7 @@ def _everywhere(
 
 def main() -> None:
     """Entry point of ``skugga``."""
+    use_bundled_loops()
     debug = "--debug" in sys.argv[1:]
     forbid_code()
     cap_caches()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 
 MAX_DEPTH_RUNS = 3
 """Runs of depth that a texel keeps."""
@@ -81,7 +81,7 @@ def certain_depths(cols, rows, corners, edges):
     return nearest, nearest_other, shaded_beyond
 
 
-@compiled
+@internal
 def _draw_triangle(runs, counts, corners):
     """Add a triangle's interval of depth to each texel that it touches: the extremes of its plane over the texel's square,
     limited to the extremes of its corners. A run's layers are the triangles that cover the probe.
@@ -119,7 +119,7 @@ def _draw_triangle(runs, counts, corners):
             counts[row, col] = _insert(runs[row, col], counts[row, col], near, far, 1.0 if covers else 0.0)
 
 
-@compiled
+@internal
 def _draw_edge(runs, counts, a, b):
     """Add an edge's interval of depth to each texel that it touches; a run that it belongs to is open."""
     rows, cols = counts.shape
@@ -141,7 +141,7 @@ def _draw_edge(runs, counts, a, b):
                 counts[row, col] = _insert(runs[row, col], counts[row, col], near, far, OPEN)
 
 
-@compiled
+@internal
 def _insert(runs, count, near, far, layers):
     """Add an interval to a texel's runs, joined with those that it overlaps or touches; gives their new number."""
     first = 0
@@ -168,7 +168,7 @@ def _insert(runs, count, near, far, layers):
     return count
 
 
-@compiled
+@internal
 def _span(corners, low, high):
     """Least and greatest u of the part of a triangle whose v is in [low, high]; inf and -inf where there is none.
 
@@ -185,7 +185,7 @@ def _span(corners, low, high):
     return least, greatest
 
 
-@compiled
+@internal
 def _part(a, b, low, high, start, stop):
     """The part [start, stop] of the way from a to b, cut to where low <= value <= high; start > stop where it is empty."""
     if a == b:
@@ -194,7 +194,7 @@ def _part(a, b, low, high, start, stop):
     return max(start, min(at_low, at_high)), min(stop, max(at_low, at_high))
 
 
-@compiled
+@internal
 def _texels(low, high, size):
     """First texel and the one past the last of those, among ``size``, that [low, high] meets."""
     return int(np.floor(max(0.0, min(float(size), low)))), int(np.floor(max(-1.0, min(size - 1.0, high)))) + 1

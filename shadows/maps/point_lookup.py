@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shadows.maps.windows import DepthMap
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 
 
 class SunMap(NamedTuple):
@@ -92,7 +92,7 @@ def _look_up(first, last, sun, comparison, points, chosen, visibility):
         visibility[i] = _beside_triangles(sun, comparison, clear)
 
 
-@compiled
+@internal
 def _turned(sun, vectors, i, first):
     """Three numbers of a row, from ``first`` on, along the light's axes: three rather than an array, whose memory would cost more
     than all else.
@@ -106,13 +106,13 @@ def _turned(sun, vectors, i, first):
     )
 
 
-@compiled
+@internal
 def _moved(sun, turned):
     offset = sun.light_offset_m
     return turned[0] + offset[0], turned[1] + offset[1], turned[2] + offset[2]
 
 
-@compiled
+@internal
 def _clear_of(sun, comparison, p, n, crease):
     """A point moved clear of every surface that passes through it."""
     if not comparison.by_offset:
@@ -127,7 +127,7 @@ def _clear_of(sun, comparison, p, n, crease):
     return p[0] + n[0] * away, p[1] + n[1] * away, p[2] + n[2] * away - sun.error_m
 
 
-@compiled
+@internal
 def _first_tap(sun, p, count):
     """The first texel, column and row, of a square of taps round a point, and how far beyond its corner the square begins."""
     half = np.float32(0.5) * np.float32(count - 1)
@@ -136,7 +136,7 @@ def _first_tap(sun, p, count):
     return np.int64(left), np.int64(low), x - left, y - low
 
 
-@compiled
+@internal
 def _is_empty(sun, p, count):
     """Whether the map holds nothing in a square of taps round a point."""
     left, low, _, _ = _first_tap(sun, p, count)
@@ -148,7 +148,7 @@ def _is_empty(sun, p, count):
     return True
 
 
-@compiled
+@internal
 def _is_lit(sun, rounding, row, col, z):
     rows, cols = sun.depths.shape
     if row < 0 or col < 0 or row >= rows or col >= cols:
@@ -156,7 +156,7 @@ def _is_lit(sun, rounding, row, col, z):
     return min(z / sun.window_m - rounding, np.float32(1.0)) <= np.float32(sun.depths[row, col]) / sun.steps
 
 
-@compiled
+@internal
 def _weight(count, n, beyond):
     """How much of a tap lies in the square of count - 1 texels round the point, along one axis."""
     if n == 0:
@@ -164,7 +164,7 @@ def _weight(count, n, beyond):
     return beyond if n == count - 1 else np.float32(1.0)
 
 
-@compiled
+@internal
 def _on_own_triangle(sun, comparison, p, corners, i):
     """The lit and all of the weight of those taps whose texels' centres fall into a point's own triangle."""
     lit, counted = np.float32(0.0), np.float32(0.0)
@@ -204,7 +204,7 @@ def _on_own_triangle(sun, comparison, p, corners, i):
     return lit, counted
 
 
-@compiled
+@internal
 def _beside_triangles(sun, comparison, clear):
     """The lit share of the taps round a point that was moved clear, wherever their texels lie."""
     count, zero, one = comparison.taps_beside, np.float32(0.0), np.float32(1.0)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import internal
 
 AZIMUTH_BINS = 3600
 """Bins of azimuths, of a tenth of a degree."""
@@ -35,7 +35,7 @@ def directions_of(azimuth_deg: np.ndarray) -> Directions:
     return Directions(azimuth, np.sin(angle), np.cos(angle), first, order)
 
 
-@compiled
+@internal
 def ends_towards(directions, low, high):
     """The numbers [begin, end) of the directions with azimuths from ``low`` to ``high`` degrees, with low in [0, 360); numbers of
     a second turn are counted on from the first turn's. A few more may be among them.

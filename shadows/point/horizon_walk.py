@@ -17,7 +17,7 @@ from shadows.point.place import PointPlace
 from shadows.point.relief_pages import TILE_QUADS, detail_ends, paged_relief, quad_height
 from shadows.point.sight_lines import SightLines, sight_lines
 from terrain.casters.reach import PATCH_QUADS, longest_shadow_m
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.scene import Scene
 
 NO_GROUND = -1e30
@@ -158,7 +158,7 @@ def _walk(pages, lines, found, wanted):
             _follow(pages, lines, found, wanted, n)
 
 
-@compiled
+@internal
 def _follow(pages, lines, found, wanted, n):
     shift = 0.5 if pages.blocks else 0.0
     scale, kappa, eye = pages.scale, lines.curvature[n], lines.eye
@@ -181,7 +181,7 @@ def _follow(pages, lines, found, wanted, n):
             i, j = int(np.floor(r)), int(np.floor(c))
             page_row, page_col = i // PATCH_QUADS, j // PATCH_QUADS
             a, b = page_row - pages.first_row, page_col - pages.first_col
-            t_out = _leaving(r0, dr, c0, dc, page_row * PATCH_QUADS, page_col * PATCH_QUADS, PATCH_QUADS, t + step)
+            t_out = _leaving(r0, dr, c0, dc, page_row * PATCH_QUADS, page_col * PATCH_QUADS, float(PATCH_QUADS), t + step)
             known = a >= 0 and b >= 0 and a < rows and b < cols
             if not known or not _may_rise(pages.bound[a, b], eye, best, kappa, s0 + t * ds, s0 + min(t_out, 1.0) * ds):
                 t = t_out
@@ -198,13 +198,13 @@ def _follow(pages, lines, found, wanted, n):
             tile_row, tile_col = i // TILE_QUADS, j // TILE_QUADS
             t_out = _leaving(
                 r0, dr, c0, dc, page_row * PATCH_QUADS + tile_row * TILE_QUADS, page_col * PATCH_QUADS + tile_col * TILE_QUADS,
-                TILE_QUADS, t + step,
+                float(TILE_QUADS), t + step,
             )  # fmt: skip
             if not _may_rise(pages.high[number, tile_row, tile_col], eye, best, kappa, s0 + t * ds, s0 + min(t_out, 1.0) * ds):
                 t = t_out
                 continue
             top, left = page_row * PATCH_QUADS + i, page_col * PATCH_QUADS + j
-            t_out = _leaving(r0, dr, c0, dc, top, left, 1, t + step)
+            t_out = _leaving(r0, dr, c0, dc, top, left, 1.0, t + step)
             if away >= lines.near:
                 height = pages.height[number]
                 end = min(t_out, 1.0)
@@ -236,7 +236,7 @@ def _follow(pages, lines, found, wanted, n):
     found.ended[n], found.tangent[n] = True, best
 
 
-@compiled
+@internal
 def _leaving(r0, dr, c0, dc, top, left, side, after):
     """The share of a piece at which it leaves a square of the grid; always beyond ``after``."""
     out = np.inf
@@ -251,7 +251,7 @@ def _leaving(r0, dr, c0, dc, top, left, side, after):
     return max(out, after)
 
 
-@compiled
+@internal
 def _may_rise(high, eye, best, kappa, near, far):
     """Whether ground up to a height, between two distances, may stand above a tangent."""
     if high == -np.inf:
@@ -262,7 +262,7 @@ def _may_rise(high, eye, best, kappa, near, far):
     return rise > best * (near * (0.999 - 0.2 * (kappa * far) ** 2) if best > 0.0 else far * widest)
 
 
-@compiled
+@internal
 def _higher(found, n, best, h, eye, kappa, s, at, least):
     """The tangent of ground of a height at a distance, where it is more than the best one; that it stands there is noted."""
     if not s > least * LEAST_NODES / NUDGE:

@@ -13,7 +13,7 @@ import numpy as np
 
 from shadows.point.directions import Directions, ends_towards
 from shadows.point.solid_sight import LEAST_AWAY_M, Sighting, azimuth_of
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.tree_instances import TreeInstances, tree_corner
 from terrain.trees.foliage import TEXTURE_PX, THRESHOLD, foliage
 
@@ -115,7 +115,7 @@ def _sight_trees(trees, directions, tangent, highest, found):
                 _sight_quad(quad[q], trees.alpha[layer], directions.sine[n], directions.cosine[n], tangent[n], highest, found, n, m)
 
 
-@compiled
+@internal
 def _moved(turn, origin, x, y, z, out):
     """East, north and up of a frame point from the eye."""
     x, y, z = x - origin[0], y - origin[1], z - origin[2]
@@ -123,7 +123,7 @@ def _moved(turn, origin, x, y, z, out):
         out[d] = turn[d, 0] * x + turn[d, 1] * y + turn[d, 2] * z
 
 
-@compiled
+@internal
 def _sight_quad(quad, alpha, sine, cosine, tangent, highest, found, n, m):
     """Look at one quad (its first corner, the side to the right and the side up) towards one direction."""
     first, right, up = quad[0], quad[1], quad[2]
@@ -170,7 +170,7 @@ def _sight_quad(quad, alpha, sine, cosine, tangent, highest, found, n, m):
         found.tangent[n], found.distance[n], found.number[n] = tangent, s, m
 
 
-@compiled
+@internal
 def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, found, n, m):
     """Look through a piece of a quad from its upper end to its lower one, or to what is not above the best so far."""
     if s0 < LEAST_AWAY_M or s1 < LEAST_AWAY_M:  # up to the vertical through the eye
@@ -196,7 +196,7 @@ def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, found, n, m):
             return
 
 
-@compiled
+@internal
 def _is_leaf(alpha, u, v):
     """Whether a picture (h, w) is opaque at a place on a quad, as ``terrain.casters.rays.sample_alpha`` reads it."""
     height, width = alpha.shape

@@ -218,7 +218,8 @@ def _grown(array: np.ndarray, room: int) -> np.ndarray:
 @compiled
 def _highest(height):
     """The highest (16, 16) of a page's nodes (257, 257) by tile, their borders included; -inf where there is none."""
-    out = np.full((PAGE_TILES, PAGE_TILES), -np.inf, np.float32)
+    out = np.empty((PAGE_TILES, PAGE_TILES), np.float32)
+    out[:] = -np.inf
     for i in range(height.shape[0]):
         for j in range(height.shape[1]):
             h = height[i, j]

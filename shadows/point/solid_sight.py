@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shadows.point.directions import Directions, ends_towards
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 
 LEAST_AWAY_M = 1e-6
 """What is nearer than this to the vertical through the point is as far away."""
@@ -72,21 +72,21 @@ def _sight_triangles(point, triangles, directions, tangent, highest, found):
             _sight(a, b, c, directions.sine[n], directions.cosine[n], tangent[n], highest, found, n, m)
 
 
-@compiled
+@internal
 def azimuth_of(p):
     """Azimuth in degrees, in [0, 360), of a point (east, north, ...)."""
     angle = np.degrees(np.arctan2(p[0], p[1])) % 360.0
     return angle if angle < 360.0 else 0.0
 
 
-@compiled
+@internal
 def _inside(a, b, c):
     """Whether the vertical through the eye meets a triangle, or nearly so."""
     ab, bc, ca = a[0] * b[1] - a[1] * b[0], b[0] * c[1] - b[1] * c[0], c[0] * a[1] - c[1] * a[0]
     return (ab >= 0.0 and bc >= 0.0 and ca >= 0.0) or (ab <= 0.0 and bc <= 0.0 and ca <= 0.0)
 
 
-@compiled
+@internal
 def _sight(a, b, c, sine, cosine, tangent, highest, found, n, m):
     """Look at one triangle towards one direction."""
     met = 0
@@ -108,7 +108,7 @@ def _sight(a, b, c, sine, cosine, tangent, highest, found, n, m):
         sight_piece(s0, z0, s1, z1, tangent, highest, found, n, m)
 
 
-@compiled
+@internal
 def sight_piece(s0, z0, s1, z1, tangent, highest, found, n, m):
     """Look at a straight piece of the plane of a direction, from one distance and height above the eye to another."""
     if s0 > s1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import internal
 
 
 def quadratic_fit(row: np.ndarray, col: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -13,7 +13,7 @@ def quadratic_fit(row: np.ndarray, col: np.ndarray, shape: tuple[int, int]) -> n
     return np.linalg.pinv(np.stack([np.ones_like(x), y, x, y * y, y * x, x * x], axis=-1))
 
 
-@compiled
+@internal
 def quadratic(c, y, x):
     """The value of a quadratic (6,) at shares of the way down and right over the cells."""
     return c[0] + y * (c[1] + y * c[3] + x * c[4]) + x * (c[2] + x * c[5])

@@ -19,7 +19,7 @@ from shadows.sun_hours.suns import WindowSun, lattice_of
 from shadows.sweep.grid import GridOrientation
 from shadows.sweep.rays import patch_windows
 from terrain.casters.reach import Patch
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.bare_nodes import BareNodes
 from terrain.geo.world import World
 from terrain.ground.surface import NodeHeights
@@ -136,7 +136,7 @@ def sun_track(day: WindowSun, nodes: BareNodes, world: World, turn: GridOrientat
     return SunTrack(float(ends[0]), float(ends[1]), towards @ quadratic_fit(i, j, shape).T, cell, last)
 
 
-@compiled
+@internal
 def free_tangent(ground, track, i, j, raised, minutes):
     """By how much the tangent of the sun's altitude exceeds the horizon's, at a time, for a turned cell that looks from so
     far above its node; and by how much the first grows a minute.
@@ -248,7 +248,7 @@ def horizon_tangent(ground, row, col, raised, down, right, least):
     return best
 
 
-@compiled
+@internal
 def _steeper(best, height, own, far):
     """The larger one of a tangent and of that up to ground of a height so far away."""
     rise = height - own - EARTH_BEND * far * far

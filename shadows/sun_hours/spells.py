@@ -24,7 +24,7 @@ import numpy as np
 from shadows.sun_hours.quadratics import quadratic
 from shadows.sun_hours.sight_walks import SunTrack, WalkedGround, free_tangent
 from shadows.sweep.grid import GridOrientation, copy_into
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 
 UNSHADED = np.float32(1e6)
 """Clearance where nothing lies between a cell and the sun: how far it is from being shaded is not known."""
@@ -222,7 +222,7 @@ def _add(spells, before, here, there, after, times, floors, begins, floored, fir
             spells.since[i, j] = since
 
 
-@compiled
+@internal
 def _crossing(before, e0, e1, after, times):
     """When a clearance crosses 0 between the second and the third of four times."""
     tb, t0, t1, ta = times[0], times[1], times[2], times[3]
@@ -243,7 +243,7 @@ def _crossing(before, e0, e1, after, times):
     return 0.5 * (middle + t0 + (t1 - t0) * e0 / (e0 - e1))
 
 
-@compiled
+@internal
 def _walked(sight, i, j, lit0, crossing, t0, t1):
     """When the sun passes a cell's horizon between two moments, from about when; it is lit at the first one or not."""
     low, high = t0, t1
@@ -264,12 +264,12 @@ def _walked(sight, i, j, lit0, crossing, t0, t1):
     return t
 
 
-@compiled
+@internal
 def _read(clock, t):
     return t + clock.start + (clock.by if clock.by != 0.0 and t >= clock.change else 0.0)
 
 
-@compiled
+@internal
 def _close(spells, i, j, since, until, clock):
     """End a spell of sun of a cell."""
     length = until - since

@@ -27,7 +27,7 @@ from shadows.sweep.grid import BENT_CELLS, LATTICE, RAYS_BEND_REASON
 from shadows.sweep.points import cubic
 from shadows.sweep.rays import SunRays, rays_over
 from terrain.casters.reach import PATCH_QUADS, Casters
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.errors import UnsupportedError
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import RELIEF
@@ -276,14 +276,14 @@ def _follow(columns, row, t, level, measured, above):
             above[n] = _highest_above(columns, row[n], t[n], level[n], measured, above[n])
 
 
-@compiled
+@internal
 def _on_border(columns, b, t, level):
     """A ray's column and height where it crosses the border before row ``b``."""
     height = (level - cubic(columns.zero[b], t)) / cubic(columns.rise[b], t)
     return cubic(columns.place[b], t) + (height - columns.middle) * cubic(columns.lean[b], t), height
 
 
-@compiled
+@internal
 def _highest_above(columns, row, t, level, measured, above):
     """The most by which a column rises above the ray of a level from a turned row on, if more than ``above``; else that. The first
     that does will do, unless ``measured``.

@@ -18,7 +18,7 @@ import numpy as np
 
 from shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_grid, turned_levels
 from shadows.sweep.points import cubic, ground_at, is_cut
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 
 NO_HORIZON_SLOPE = -1e30
 """Slope of a horizon without any ground: a number, not infinity, so that it can be interpolated."""
@@ -195,7 +195,7 @@ def _walk(section, lines, first, start, stop, asked):
                     size = _put(hull, size, level, towards, i, c + 2, i + 1, c + 1, (2.0 - f) / (1.0 + s))
 
 
-@compiled
+@internal
 def _put(hull, size, level, towards, i, j, k, l, share):
     """Put what lies at a share of the way between two nodes on the hull; returns its size."""
     u = level[i, j] + share * (np.float64(level[k, l]) - level[i, j])
@@ -215,7 +215,7 @@ def _put(hull, size, level, towards, i, j, k, l, share):
     return size + 1
 
 
-@compiled
+@internal
 def _tangent(hull, size, own):
     """The largest slope from a point up to a hull: it grows along it up to where it touches."""
     best = NO_HORIZON_SLOPE
@@ -259,7 +259,7 @@ def _look_near(level, towards, place, falls, base, row, t, own, near):
         near[n] = best
 
 
-@compiled
+@internal
 def _steeper(best, own, level, towards, i, j, k, l, share):
     u = level[i, j] + share * (np.float64(level[k, l]) - level[i, j])
     d = towards[i, j] + share * (np.float64(towards[k, l]) - towards[i, j])

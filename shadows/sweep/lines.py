@@ -28,8 +28,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.sweep.points import cubic, on_column, see_points
-from terrain.compiled import compiled
+from shadows.sweep.points import cubic, cubic_of, on_column, see_points
+from terrain.compiled import compiled, internal
 
 NO_GROUND_LEVEL = np.float32(-1e30)
 """Level of a line that has met nothing: a number, not infinity, so that it can be interpolated."""
@@ -38,6 +38,9 @@ NO_CUTS = np.zeros(0, np.bool_)
 
 RUN = 512
 """Lines of a run, at most."""
+
+ON_NODE = 0.0, 0.0
+"""Shares of the way to another node where a run of lines goes over nodes."""
 
 STRAIGHT = 0.01
 """How far places in a run may be from changing linearly: run by run, they are interpolated between its ends."""
@@ -90,23 +93,17 @@ def sweep_rows(sheet, strip, first, last, shade, lit, points):
         if begins[i] < begins[i + 1]:
             see_points(sheet, strip, i, points)
         for k in range(lines):
-            _advance(level[i], level[i + 1], _cubic_of(place, i), _cubic_of(place, i + 1), lines, cuts, first_cell, held[k], k)
+            _advance(level[i], level[i + 1], cubic_of(place, i), cubic_of(place, i + 1), lines, cuts, first_cell, held[k], k)
 
 
-@compiled
-def _cubic_of(rows, i):
-    """A row's cubic, as numbers."""
-    return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
-
-
-@compiled
+@internal
 def _run_along(p, low, high, times):
     """How many places from ``low`` to ``high`` a run may have, so that ``times`` their cubic is straight over it."""
     bend = times * max(abs(2.0 * p[2] + 6.0 * p[3] * low), abs(2.0 * p[2] + 6.0 * p[3] * high))
     return RUN if bend * RUN * RUN <= 8.0 * STRAIGHT else max(int(np.sqrt(8.0 * STRAIGHT / bend)), 2)
 
 
-@compiled
+@internal
 def _class_of(here, further, t, j):
     """Of a line: the column left of it less its cell, and whether it crosses the next column before the next row."""
     x = on_column(cubic(here, t))
@@ -114,12 +111,12 @@ def _class_of(here, further, t, j):
     return 2 * (c - j) + (1 if on_column(cubic(further, t)) > c + 1 else 0)
 
 
-@compiled
+@internal
 def _advance(above, below, here, further, lines, cuts, first_cell, held, k):
     """Take the lines of number ``k`` from before a row to before the next: ``here`` and ``further`` are the cubics of these."""
     cells, cols = held.size, above.size
     share = k / lines
-    run = _run_along(here, first_cell, first_cell + cells, 1)
+    run = _run_along(here, first_cell, first_cell + cells, np.int64(1))
     start = 0
     while start < cells:
         end = min(start + run, cells)
@@ -148,14 +145,14 @@ def _advance(above, below, here, further, lines, cuts, first_cell, held, k):
         start = end
 
 
-@compiled
+@internal
 def _meet(above, below, cuts, column, held, cell, count, f0, f1, s0, s1, crosses):
     """What a run of ``count`` lines meets from a row on and before the next one, from a ``column`` and a ``cell`` of ``held`` on.
 
     Their places in their cells go from ``f0`` to ``f1``, their ways aside till the next row from ``s0`` to ``s1``.
     """
     if f0 == 0.0 and f1 == 0.0:  # on nodes: what may be missing to the right plays no part
-        _two(above, column, column, above, column, held, cell, count, (0.0, 0.0), (0.0, 0.0))
+        _two(above, column, column, above, column, held, cell, count, ON_NODE, ON_NODE)
     row, rising = (f0, f1), (min((1.0 - f0) / (1.0 + s0), 1.0), min((1.0 - f1) / (1.0 + s1), 1.0))
     if crosses:
         side, far = ((1.0 - f0) / s0, (1.0 - f1) / s1), ((2.0 - f0) / (1.0 + s0), (2.0 - f1) / (1.0 + s1))
@@ -171,7 +168,7 @@ def _meet(above, below, cuts, column, held, cell, count, f0, f1, s0, s1, crosses
             _pass(above, below, column, held, cell, count, row, rising, falling)
 
 
-@compiled
+@internal
 def _steps(ends, count):
     """The first of ``count`` even steps between two ends, and how far each is from the one before, float32."""
     return np.float32(ends[0]), np.float32((ends[1] - ends[0]) / max(count - 1, 1))
@@ -182,7 +179,7 @@ def _steps(ends, count):
 # Places in it are unsigned, or else a negative one would count from its end.
 
 
-@compiled
+@internal
 def _pass(above, below, column, held, cell, count, row, rising, falling):
     """Raise a run of lines to what they meet of one quad each: on its first row and on both of its diagonals."""
     p, dp = _steps(row, count)
@@ -200,7 +197,7 @@ def _pass(above, below, column, held, cell, count, row, rising, falling):
         held[line] = three if three > highest else highest
 
 
-@compiled
+@internal
 def _cross(above, below, column, held, cell, count, row, rising, side, far):
     """Raise a run of lines to what they meet of two quads each: on the first row, on the rising diagonals of both, and between."""
     p, dp = _steps(row, count)
@@ -222,7 +219,7 @@ def _cross(above, below, column, held, cell, count, row, rising, side, far):
         held[line] = four if four > highest else highest
 
 
-@compiled
+@internal
 def _pass_cut(above, below, cuts, held, row, rising, falling):
     """As ``_pass``, on the diagonals that the quads are cut along."""
     count = held.size
@@ -240,7 +237,7 @@ def _pass_cut(above, below, cuts, held, row, rising, falling):
         held[n] = other if other > highest else highest
 
 
-@compiled
+@internal
 def _cross_cut(above, below, cuts, held, row, rising, side, far):
     """As ``_cross``, on the diagonals that the quads are cut along."""
     count = held.size
@@ -261,7 +258,7 @@ def _cross_cut(above, below, cuts, held, row, rising, side, far):
         held[n] = four if four > highest else highest
 
 
-@compiled
+@internal
 def _two(row, a, b, other_row, c, held, cell, count, p, q):
     """Raise a run of levels to what lies between two pairs of nodes: at shares ``p`` of the way from a row's column ``a`` on to its
     column ``b``, and ``q`` to column ``c`` of another row.
@@ -279,11 +276,11 @@ def _two(row, a, b, other_row, c, held, cell, count, p, q):
         held[line] = other if other > highest else highest
 
 
-@compiled
+@internal
 def _nodes(level, place, at, lines, cuts, first_cell, held, peaks, shade, lit, i):
     """The nodes of row ``i + 1``: what shades them from row ``i`` on, exactly, and from before, between the lines."""
     cols, cells = level.shape[1], held.shape[1]
-    here, before, further = _cubic_of(at, i + 1), _cubic_of(place, i), _cubic_of(place, i + 1)
+    here, before, further = cubic_of(at, i + 1), cubic_of(place, i), cubic_of(place, i + 1)
     first = _first_from(further, here, first_cell + 1, cols)
     last = _first_from(further, here, first_cell + cells - 2, cols)
     run = _run_along(here, first, last, lines)
@@ -297,17 +294,17 @@ def _nodes(level, place, at, lines, cuts, first_cell, held, peaks, shade, lit, i
         _see_between(held, k, cell, right, right_cell, peaks, (e0, e1), count, seen)
         _see_near(above, below, cuts, first, (_aside(before, here, first), _aside(before, here, end - 1)), count, seen)
         if shade.size:
-            shade[i + 1, first:end] = seen[:count]
+            _put_shade(seen, shade, i + 1, first, count)
         if lit.size:
             _sees(seen, below, lit, i + 1, first, count)
         first = end
 
 
-@compiled
+@internal
 def _remember(level, place, at, lines, first_cell, peaks, i):
     """Raise the peaks between the lines to the nodes of row ``i``."""
     cols, cells = level.shape[1], peaks.shape[2]
-    here, further, row = _cubic_of(at, i), _cubic_of(place, i), level[i]
+    here, further, row = cubic_of(at, i), cubic_of(place, i), level[i]
     first = _first_from(further, here, first_cell + 1, cols)
     last = _first_from(further, here, first_cell + cells - 2, cols)
     run = _run_along(here, first, last, lines)
@@ -320,7 +317,7 @@ def _remember(level, place, at, lines, first_cell, peaks, i):
         first = end
 
 
-@compiled
+@internal
 def _raise_peaks(row, first, between, peaks, k, cell, count):
     """Remember nodes that stand higher between their lines than what was remembered there."""
     per = 1.0 / max(count - 1, 1)
@@ -333,7 +330,14 @@ def _raise_peaks(row, first, between, peaks, k, cell, count):
         peaks[0, k, c] = level if higher else peaks[0, k, c]
 
 
-@compiled
+@internal
+def _put_shade(seen, shade, i, first, count):
+    i = np.uintp(i)
+    for n in range(count):
+        shade[i, np.uintp(first + n)] = seen[n]
+
+
+@internal
 def _sees(seen, row, lit, i, first, count):
     i = np.uintp(i)
     for n in range(count):
@@ -341,19 +345,19 @@ def _sees(seen, row, lit, i, first, count):
         lit[i, column] = not seen[n] > row[column]
 
 
-@compiled
+@internal
 def _line_of(at, column, lines):
     """Where among the lines a row's node stands, a whole number on a line."""
-    return on_column(cubic(at, column) * lines)
+    return on_column(cubic(at, np.float64(column)) * lines)
 
 
-@compiled
+@internal
 def _aside(place, at, column):
     """How far from the left the ray over a node comes: columns from where it crosses the row before."""
-    return column - on_column(cubic(place, cubic(at, column)))
+    return column - on_column(cubic(place, cubic(at, np.float64(column))))
 
 
-@compiled
+@internal
 def _run_of_nodes(at, first, last, lines):
     """Where the run of nodes from ``first`` ends whose left lines have one number, and the first one's left line."""
     number = int(np.floor(_line_of(at, first, lines)))
@@ -369,18 +373,18 @@ def _run_of_nodes(at, first, last, lines):
     return high, number
 
 
-@compiled
+@internal
 def _first_from(place, at, t, cols):
     """The first column of a row, borders apart, whose t is no less than one: by ``at`` alone, so that strips share all nodes."""
-    column = min(max(int(np.ceil(cubic(place, t))), 1), cols - 1)
-    while column > 1 and cubic(at, column - 1) >= t:
+    column = min(max(int(np.ceil(cubic(place, np.float64(t)))), 1), cols - 1)
+    while column > 1 and cubic(at, np.float64(column - 1)) >= t:
         column -= 1
-    while column < cols - 1 and cubic(at, column) < t:
+    while column < cols - 1 and cubic(at, np.float64(column)) < t:
         column += 1
     return column
 
 
-@compiled
+@internal
 def _see_between(held, k, cell, right, right_cell, peaks, between, count, out):
     """The level of the rays over a run of nodes as far as the row before them, into an array (count,) float32: what the lines of
     number ``k`` from a ``cell`` on hold, those to their right, and the peaks between. ``between``: how far the nodes stand between
@@ -403,21 +407,24 @@ def _see_between(held, k, cell, right, right_cell, peaks, between, count, out):
         out[n] = over if peaked and over > met else met
 
 
-@compiled
+@internal
 def _see_near(above, here, cuts, first, aside, count, out):
     """Raise the levels of the rays over a run of nodes from column ``first`` on to what they meet from the row before on.
 
     ``aside``: how far their rays come from the left, from first to last.
     """
+    start = np.int64(0)  # no literal, for which ``_two`` would be compiled once more
     if max(aside[0], aside[1]) == 0.0:  # straight down: what may be missing to the left plays no part
-        _two(above, first, first, above, first, out, 0, count, (0.0, 0.0), (0.0, 0.0))
+        _two(above, first, first, above, first, out, start, count, ON_NODE, ON_NODE)
         return
     if min(aside[0], aside[1]) == 1.0:  # along the quads' falling diagonals: nor does what may be missing behind
-        _two(above, first - 1, first - 1, above, first - 1, out, 0, count, (0.0, 0.0), (0.0, 0.0))
+        _two(above, first - 1, first - 1, above, first - 1, out, start, count, ON_NODE, ON_NODE)
     # And the rising diagonal of the quad to the left: the falling one ends in the node itself.
     rising = aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1])
     if cuts.size:
-        left_of = np.where(cuts[first - 1 : first - 1 + count], np.float32(np.nan), here[first - 1 : first - 1 + count])
-        _two(above, first, first - 1, left_of, 0, out, 0, count, aside, rising)
+        left_of = np.empty(count, np.float32)
+        for n in range(count):
+            left_of[n] = np.float32(np.nan) if cuts[first - 1 + n] else here[first - 1 + n]
+        _two(above, first, first - 1, left_of, start, out, start, count, aside, rising)
     else:
-        _two(above, first, first - 1, here, first - 1, out, 0, count, aside, rising)
+        _two(above, first, first - 1, here, first - 1, out, start, count, aside, rising)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 
 ON_COLUMN = 1e-9
 """How far from a column, in cells, a line runs on it: under suns along the axes and diagonals all lines do, but for rounding, and
@@ -52,7 +52,8 @@ def in_strip(row, col, t, own, interval, rows, start, stop):
     """The points (n,) whose t is from ``start`` on and before ``stop``, in the order of their row intervals: their numbers, and
     what ``StripPoints`` has of them, up to ``own``. Columns count the left border.
     """
-    begins = np.zeros(rows + 1, np.int64)
+    begins = np.empty(rows + 1, np.int64)
+    begins[:] = 0
     for n in range(t.size):
         if start <= t[n] < stop:
             begins[interval[n] + 1] += 1
@@ -76,7 +77,7 @@ def put_answers(number, its_lit, its_above_m, lit, above_m):
         lit[number[k]], above_m[number[k]] = its_lit[k], its_above_m[k]
 
 
-@compiled
+@internal
 def see_points(sheet, strip, i, points):
     """Points of rows (i, i + 1] of a ``TurnedGrid``, while the lines of a ``Strip`` stand before row ``i``."""
     level, place, at, falls = sheet
@@ -85,13 +86,14 @@ def see_points(sheet, strip, i, points):
     first, last = begins[i], begins[i + 1]
     cols = level.shape[1]
     above, below = level[i], level[i + 1]
+    here, further, columns = cubic_of(place, i), cubic_of(place, i + 1), cubic_of(at, i)
     for n in range(first, last):
         end, before = row[n] - i, t[n]
-        x = on_column(cubic(place[i], before))
-        s = on_column(cubic(place[i + 1], before)) - x
+        x = on_column(cubic(here, before))
+        s = on_column(cubic(further, before)) - x
         if np.isnan(own[n]):  # on the ground: over its own triangle
             x = on_column(col[n] - s * end)
-            before = cubic(at[i], x)
+            before = cubic(columns, x)
         c = int(np.floor(x))
         f = x - c
         among = on_column(before * lines)
@@ -119,20 +121,26 @@ def see_points(sheet, strip, i, points):
         lit[n] = not highest > itself + rounding
 
 
-@compiled
+@internal
+def cubic_of(rows, i):
+    """A row's cubic (4,), as numbers."""
+    return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
+
+
+@internal
 def cubic(p, x):
     """The value of a cubic (4,) at a place."""
     return p[0] + x * (p[1] + x * (p[2] + x * p[3]))
 
 
-@compiled
+@internal
 def on_column(x):
     """A place across the columns; the column itself where it lies on one but for rounding."""
     column = np.rint(x)
     return column if abs(x - column) < ON_COLUMN else x
 
 
-@compiled
+@internal
 def _higher(highest, a, b, share):
     """The higher of a level and of the one at a share of the way from ``a`` to ``b``, if there is ground."""
     value = np.float64(a)
@@ -141,13 +149,13 @@ def _higher(highest, a, b, share):
     return value if value > highest else highest
 
 
-@compiled
+@internal
 def is_cut(falls, i, c, falling):
     """Whether the ground may bend on a diagonal of quad (i, c), by a ``TurnedGrid``'s cuts; on either where there are none."""
     return falls.size == 0 or falls[i, c] == falling
 
 
-@compiled
+@internal
 def ground_at(above, below, c, u, v, falls, i):
     """The ground's level ``u`` columns right of column ``c`` and ``v`` rows below row ``i``; NaN where there is none."""
     c += int(np.floor(u))

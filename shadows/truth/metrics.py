@@ -12,7 +12,7 @@ import numpy as np
 
 from shadows.truth.truth import Truth
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 
 INTERIOR_PX = 2.0
 """Errors within this of truth's boundary (and within two texel footprints) are the boundary's, not the interior's."""
@@ -256,7 +256,7 @@ def _far_from_edges(dark, there, row, col, distance):
     return out
 
 
-@compiled
+@internal
 def _is_edge(dark, there, i, j):
     """Whether one of the four pixels beside one is of the other class."""
     rows, cols = dark.shape

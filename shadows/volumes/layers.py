@@ -12,7 +12,7 @@ import numpy as np
 
 from shadows.volumes.edges import Edges, connected_parts
 from shadows.volumes.silhouettes import Silhouette, homogeneous, silhouette
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.errors import InputError
 
 MAX_STENCIL_LAYERS = 255
@@ -208,7 +208,7 @@ def _steps(seen, edges, times, lune_of_end, leftwards, first, width, lunes):
     return place[:n], step[:n]
 
 
-@compiled
+@internal
 def _height(lune, ahead, up):
     """A lune's number, plus how high a direction is as a share between the poles."""
     return lune + 0.5 + np.arctan2(up, max(ahead, 0.0)) / 3.2

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 
 CULLING_TILE_PX = 8
 """Side of the tiles that rectangles are put together from."""
@@ -141,7 +141,7 @@ def _rectangles(tiles, cost):
     return out
 
 
-@compiled
+@internal
 def _best_cut(part):
     """The cut between rows of tiles that leaves most tiles outside of what holds the two halves: how many, and where."""
     rows, cols = part.shape
@@ -231,7 +231,7 @@ def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):
     return found[:count].copy(), starts, added
 
 
-@compiled
+@internal
 def _place(lines, left, top, right, bottom):
     """Where a triangle, by the lines of its sides, lies to a rectangle."""
     place = COVERS
@@ -245,7 +245,7 @@ def _place(lines, left, top, right, bottom):
     return place
 
 
-@compiled
+@internal
 def _lines(points, triangles):
     """Each triangle's weights and depth as linear functions of a pixel (m, 4, 3), and the sign of its determinant (m,)."""
     m = len(triangles)
@@ -269,7 +269,7 @@ def _lines(points, triangles):
     return lines, sign
 
 
-@compiled
+@internal
 def _range(line, left, top, right, bottom):
     """Least and greatest value of a linear function over a rectangle."""
     x, y, z = line

@@ -27,7 +27,7 @@ import numpy as np
 
 from terrain.cache import MIB, Cache, Missing, cached
 from terrain.casters.reach import PATCH_QUADS, Patch, Receivers
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.geo.world import EARTH_RADIUS_M, World
@@ -261,8 +261,9 @@ def _may_hide(out, lit, beside_m, above_m):
     """Which parts (n, 8) may stand, as any point of the sun's disc sees them, before some of the others (m, 8): towards the sun
     from it, and not wholly below by more than ``above_m``; what is within ``beside_m`` counts.
     """
-    found = np.zeros(len(out), np.bool_)
+    found = np.empty(len(out), np.bool_)
     for n in range(len(out)):
+        found[n] = False
         for m in range(len(lit)):
             if np.isnan(lit[m, 0]):
                 continue
@@ -329,7 +330,8 @@ def _parts_of(height_m, refined, row0, col0, more, quads, out):
             if refined:
                 refined_row(height_m, row0 + row, col0, band[i])
             else:
-                band[i] = height_m[row]
+                for j in range(band.shape[1]):
+                    band[i, j] = height_m[row, j]
             _count_missing(band[i], missing)
         nodes = band[more : more + quads + 1]
         bounds[0], bounds[1] = np.inf, -np.inf
@@ -339,9 +341,15 @@ def _parts_of(height_m, refined, row0, col0, more, quads, out):
         for number in range(cols // quads):
             left = number * quads
             part = out[number // PARTS, down * PARTS + number % PARTS]
-            low, high = bounds[0, left : left + quads + 1].min(), bounds[1, left : left + quads + 1].max()
+            low, high = bounds[0, left], bounds[1, left]
+            for j in range(left + 1, left + quads + 1):
+                low = bounds[0, j] if bounds[0, j] < low else low
+                high = bounds[1, j] if bounds[1, j] > high else high
             part[0], part[1] = (low, high) if low <= high else (np.nan, np.nan)
-            part[2] = missing[left : left + quads + 1 + 2 * more].max() == 0
+            whole = True
+            for j in range(left, left + quads + 1 + 2 * more):
+                whole = whole and missing[j] == 0
+            part[2] = whole
             _farthest_rises(reach[:, left : left + quads + 1], part[3:])
 
 
@@ -395,35 +403,38 @@ def _farthest_rises(reach, out):
     """
     for k in range(0, len(reach), 2):
         count = reach.shape[1] if k == 2 else reach.shape[1] - 1
-        most, least = reach[k, :count].max(), -reach[k + 1, :count].min()
-        out[k], out[k + 1] = most if np.isfinite(most) else 0.0, least if np.isfinite(least) else 0.0
+        most, least = np.float32(-np.inf), np.float32(np.inf)
+        for j in range(count):
+            most = reach[k, j] if reach[k, j] > most else most
+            least = reach[k + 1, j] if reach[k + 1, j] < least else least
+        out[k], out[k + 1] = most if np.isfinite(most) else 0.0, -least if np.isfinite(least) else 0.0
 
 
-@compiled
+@internal
 def _count_missing(height_m, missing):
     for j in range(missing.size):
         missing[j] += np.int32(0) if np.isfinite(height_m[j]) else np.int32(1)
 
 
-@compiled
+@internal
 def _differences(a, b, out):
     for j in range(out.size):
         out[j] = a[j] - b[j]
 
 
-@compiled
+@internal
 def _larger(a, b, out):
     for j in range(out.size):
         out[j] = a[j] if (a[j] > b[j]) | np.isnan(b[j]) else b[j]
 
 
-@compiled
+@internal
 def _smaller(a, b, out):
     for j in range(out.size):
         out[j] = a[j] if (a[j] < b[j]) | np.isnan(b[j]) else b[j]
 
 
-@compiled
+@internal
 def _widen_by_sums(most_a, most_b, least_a, least_b, least, most):
     for j in range(least.size):
         high, low = most_a[j] + most_b[j], least_a[j] + least_b[j]
@@ -431,7 +442,7 @@ def _widen_by_sums(most_a, most_b, least_a, least_b, least, most):
         least[j] = low if low < least[j] else least[j]
 
 
-@compiled
+@internal
 def _widen_by_differences(most_a, most_b, least_a, least_b, least, most):
     for j in range(least.size):
         high, low = most_a[j] - least_b[j], least_a[j] - most_b[j]

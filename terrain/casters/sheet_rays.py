@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.ground.sheet import Sheet
 
 WALKING_THREADS = min(os.cpu_count() or 1, 8)
@@ -139,7 +139,7 @@ def _build(pyramids, number, position, centre, axes):
                 _fill(box, begin + i * wide + j, a0, a1, b0, b1, d1)
 
 
-@compiled
+@internal
 def _fill(box, at, a0, a1, b0, b1, d1):
     box[at, 0], box[at, 1], box[at, 2], box[at, 3], box[at, 4] = a0, a1, b0, b1, d1
 
@@ -158,7 +158,7 @@ def _blocked(pyramids, start):
     return out
 
 
-@compiled
+@internal
 def _meets(pyramids, number, a, b, d, stack):
     """Whether a ray meets a triangle of a sheet."""
     _, _, _, low, high = pyramids.sheet[number]
@@ -183,13 +183,13 @@ def _meets(pyramids, number, a, b, d, stack):
     return False
 
 
-@compiled
+@internal
 def _in_box(box, at, a, b, d):
     """Whether what is in a box may cover a point, farther along the rays."""
     return box[at, 2] <= b and b <= box[at, 3] and box[at, 0] <= a and a <= box[at, 1] and box[at, 4] > d
 
 
-@compiled
+@internal
 def _meets_tile(pyramids, number, i, j, a, b, d):
     """Whether a ray meets a triangle of a tile of quads."""
     first, per_row, first_quad, _, _ = pyramids.sheet[number]
@@ -215,7 +215,7 @@ def _meets_tile(pyramids, number, i, j, a, b, d):
     return False
 
 
-@compiled
+@internal
 def _covers(node, p, q, r, a, b, d):
     """Whether a triangle of three nodes covers a point, sides and corners included, farther along the rays; not one seen edge-on,
     nor with a missing corner.

@@ -128,7 +128,10 @@ def _take(normals, anchor_from_frame, directions, reach):
                 reach[k] = along
                 stretched = True
         if stretched:
-            inner = max(reach.min(), 0.0)
+            least = reach[0]
+            for k in range(len(directions)):
+                least = reach[k] if reach[k] < least else least
+            inner = max(least, 0.0)
 
 
 @compiled

@@ -40,7 +40,7 @@ def compile_ahead(
     processes
         Cores to take.
     progress
-        Called after each loop.
+        Called when it is known how many loops are missing, and after each.
     background
         Compile at the lowest priority.
     on_start

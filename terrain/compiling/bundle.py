@@ -12,7 +12,6 @@ import platform
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 FOLDER = Path(__file__).with_name("bundled")
@@ -26,7 +25,9 @@ FLAGS = frozenset({"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe",
 
 
 def installed_versions() -> dict[str, str]:
-    """Return the versions that machine code depends on. Raises ``PackageNotFoundError``."""
+    """Return the versions that machine code depends on. Raises ``ImportError`` where one is not installed."""
+    from importlib.metadata import version  # slow to import, and a clone has no use for it
+
     found = {"python": sys.implementation.cache_tag or ""}
     found |= {name: version(name) for name in ("numba", "llvmlite")}
     return found | {"numpy": ".".join(version("numpy").split(".")[:2])}
@@ -37,7 +38,7 @@ def use_bundled_loops(folder: Path = FOLDER, cpuinfo: Path = Path("/proc/cpuinfo
 
     It sets environment variables, and has to be called before numba is imported: by programs of ours, never by a library.
     """
-    with suppress(OSError, ValueError, PackageNotFoundError):
+    with suppress(OSError, ValueError, ImportError):  # a package that is not found is an ``ImportError``
         fits = json.loads((folder / VERSIONS).read_text(encoding="utf-8")) == installed_versions() and _is_v3(cpuinfo)
         if fits and not any(name in os.environ for name in TARGET):
             os.environ.update(TARGET)

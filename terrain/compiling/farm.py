@@ -55,6 +55,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     try:
         with _one_at_a_time(asked.background):
             tasks = missing_tasks(asked.products)
+            if tasks:
+                print(0, len(tasks), asked.products[0], flush=True)
             for done, task in enumerate(compile_tasks(tasks, asked.processes), 1):
                 print(done, len(tasks), asked.products[task.rank], flush=True)
     except BrokenPipeError:  # whoever waited has ended
@@ -78,19 +80,25 @@ def _one_at_a_time(background: bool) -> Iterator[None]:
 
 
 def missing_tasks(products: Sequence[str]) -> list[Task]:
-    """Return the loops of some products that are not stored. What the list of loops names and is no longer there is left out."""
-    tasks = []
+    """Return the loops of some products that are not stored."""
+    return [task for task, name in named_tasks(products) if not loop_store().has(name)]
+
+
+def named_tasks(products: Sequence[str]) -> Iterator[tuple[Task, str]]:
+    """Yield the loops of some products with the names of their entries.
+
+    What the list of loops names and is no longer there is left out, and so is a loop that cannot be stored.
+    """
     for each in recorded_signatures(products):
         try:
             loop, args = each.dispatcher(), each.argument_types()
         except (ImportError, AttributeError):
             continue
         cache = getattr(loop, "_cache", None)
-        if isinstance(cache, LoopCache):
-            name = cache.entry_name(args, loop.targetctx.codegen().magic_tuple())
-            if name is not None and not loop_store().has(name):
-                tasks.append(Task(loop, args, min(products.index(product) for product in each.products if product in products)))
-    return tasks
+        name = cache.entry_name(args, loop.targetctx.codegen().magic_tuple()) if isinstance(cache, LoopCache) else None
+        if name is not None:
+            rank = min(products.index(product) for product in each.products if product in products)
+            yield Task(loop, args, rank), name
 
 
 def compile_tasks(tasks: Sequence[Task], processes: int) -> Iterator[Task]:

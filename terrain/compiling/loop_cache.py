@@ -8,6 +8,7 @@ import re
 import sys
 import threading
 from collections.abc import Callable, Hashable
+from contextlib import suppress
 from typing import Any
 
 import llvmlite
@@ -67,11 +68,18 @@ class LoopCache(_Cache):
     The digest of a loop is computed when the loop is first compiled or read, and stays. A loop that would have another digest later
     (a test replaced a global, say) is compiled without the store from then on, and so are the loops that call it: the machine code
     of this process may then mix values of two times.
+
+    Parameters
+    ----------
+    dispatcher
+        The loop.
+    is_stored
+        Whether its machine code is stored. That of an internal loop is part of its callers'; its digest is part of theirs.
     """
 
-    def __init__(self, dispatcher: Loop) -> None:
+    def __init__(self, dispatcher: Loop, is_stored: bool = True) -> None:
         self._dispatcher = dispatcher
-        self._enabled = True
+        self._enabled = is_stored
         self._digest: str | None = None
 
     @property
@@ -115,6 +123,8 @@ class LoopCache(_Cache):
         """Return the stored machine code of a signature; ``None`` where there is none."""
         args = _normalized(sig)[0]
         if not self._enabled:
+            with suppress(UnknownValueError):
+                self.digest()  # what it is compiled with: callers that are compiled later hold the same
             return None
         found = self._read(args, target_context)
         if found is None and report_missing_loop():  # what was called may have compiled it in another process
@@ -123,10 +133,12 @@ class LoopCache(_Cache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the machine code of a signature."""
+        if not self._enabled:
+            return
         args = _normalized(sig)[0]
         for record in recorders:
             record(self._dispatcher, args)
-        if not self._enabled or data.library.has_dynamic_globals or data.lifted:
+        if data.library.has_dynamic_globals or data.lifted:
             return
         name = self.entry_name(args, data.codegen.magic_tuple())
         if name is not None:

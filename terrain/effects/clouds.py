@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
 from terrain.effects.haze import farthest_mesh_m
 from terrain.facts.coarse_view import CoarseView
@@ -173,7 +173,7 @@ def _density(noise, threshold):
     return share * share * (3.0 - 2.0 * share)
 
 
-@compiled
+@internal
 def _place(x, y, z, height, layer_m, to_sun, centre, drift):
     """Metres east and north of the anchor where the ray of a point to the sun meets the clouds, before they drifted."""
     ux, uy, uz = x - centre[0], y - centre[1], z - centre[2]

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
@@ -171,7 +171,7 @@ def _waves_on(first, last, shown, anchor_from_frame, water_m, eye, pixel, waves,
                 count = 0
 
 
-@compiled
+@internal
 def _add_waves(x, y, wide_m, waves, column, out):
     """Add the waves at places (n,) of a row's columns; the places are changed."""
     along, across, noise = np.empty(x.size), np.empty(x.size), np.empty(x.size)

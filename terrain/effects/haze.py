@@ -32,7 +32,7 @@ from __future__ import annotations
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.effects.effect import Effect, ShadingBlock, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
@@ -290,7 +290,7 @@ def _farthest(position, triangles, eye, inward):
     return np.sqrt(farthest)
 
 
-@compiled
+@internal
 def _farthest_corner(polygon, inward):
     """The largest squared distance of a triangle, cut off by planes one after another (I. Sutherland and G. Hodgman 1974).
 

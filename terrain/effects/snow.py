@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
@@ -82,7 +82,7 @@ def _held(slope_deg, x_m, y_m, pixel_m):
     return 1.0 - _smooth((slope_deg - HELD_DEG) / (BARE_DEG - HELD_DEG))
 
 
-@compiled
+@internal
 def _dusted(upright, x_m, y_m, height_m, pixel_m):
     """Share of snow on a crown, at a point of its outside that is so upright."""
     if upright > CROWN_TOP[0] - 2.0 * CLUMPS:
@@ -90,14 +90,14 @@ def _dusted(upright, x_m, y_m, height_m, pixel_m):
     return DUSTED * _smooth((upright - CROWN_TOP[0]) / (CROWN_TOP[1] - CROWN_TOP[0]))
 
 
-@compiled
+@internal
 def _rough(x_m, y_m, wave_m, pixel_m):
     """Noise about -1 to 1, fixed to the ground; it goes where pixels are as wide as its waves."""
     share = min(max(2.0 - 2.0 * pixel_m / wave_m, 0.0), 1.0)
     return share * fractal_at(x_m / wave_m, y_m / wave_m, SNOW_OCTAVES, SNOW_SEED) if share > 0.0 else 0.0
 
 
-@compiled
+@internal
 def _smooth(share):
     share = min(max(share, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)

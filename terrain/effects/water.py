@@ -23,7 +23,7 @@ from math import erf
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.effects.effect import Effect, ShadingBlock, Verdict
 from terrain.facts.coarse_view import CoarseView
 from terrain.facts.descriptor import Descriptor
@@ -263,7 +263,7 @@ def _seen_facets(cosine, square):
     return area, deviation * deviation * sine * share / area
 
 
-@compiled
+@internal
 def _sky_in(cosine, square):
     """Of the sky in water under a zenith angle: its Fresnel share, the sine of the altitude it is seen at, the facets' area."""
     area, slope = _seen_facets(cosine, square)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.antialias import CROSS, edges_between, edges_in_neighbours, mesh_normals
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
@@ -150,7 +150,7 @@ def _projected(vertices, eye, rotation, tangents):
     return at, pixel
 
 
-@compiled
+@internal
 def _beyond(a, b, c, tangents, reach, rows, cols):
     """Whether a triangle lies beyond one side of the picture's pyramid as a whole, a share of a pixel wider on all sides."""
     for k in range(2):

@@ -92,7 +92,8 @@ def _hidden(world: World, elevation: Elevation, at: OverviewProbes, beside: np.n
     rise = dot(along, at.up)
     bend = 0.0 if world.flat else 1.0 / (2.0 * EARTH_RADIUS_M)
     return _blocked(
-        heights, tops, SKIP_BLOCK_CELLS, at.row + dot(beside, at.row_from_frame), at.col + dot(beside, at.col_from_frame),
+        heights, tops, tops.max(), SKIP_BLOCK_CELLS,
+        at.row + dot(beside, at.row_from_frame), at.col + dot(beside, at.col_from_frame),
         at.height_m + dot(beside, at.up), dot(along, at.row_from_frame), dot(along, at.col_from_frame), rise,
         bend * (1.0 - rise**2), np.ascontiguousarray(rays.length_m), NEAREST_CELLS,
     )  # fmt: skip
@@ -111,12 +112,12 @@ def _grid(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
 
 
 @compiled
-def _blocked(heights, tops, side, row, col, height, d_row, d_col, rise, bend, length, nearest):
+def _blocked(heights, tops, highest, side, row, col, height, d_row, d_col, rise, bend, length, nearest):
     rows, cols = heights.shape
-    highest = tops.max()
-    out = np.zeros(row.shape, np.bool_)
+    out = np.empty(row.shape, np.bool_)
     for i in range(row.shape[0]):
         for n in range(row.shape[1]):
+            out[i, n] = False
             fastest = max(abs(d_row[i, n]), abs(d_col[i, n]))
             if not (fastest > 1e-12):  # straight up, or nowhere
                 continue

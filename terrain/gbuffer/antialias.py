@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.id_buffer import NEAR_M
 from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of, imagery_of
@@ -193,7 +193,7 @@ def _crossed(number, away, ground, normals, bend, jump):
     return out
 
 
-@compiled
+@internal
 def _ends(own, other, here, there, ground, normals, bend, jump):
     """Whether something ends between two neighbours: triangles counted from 0 (below: none) at distances along the view's axis."""
     if own == other:
@@ -208,7 +208,7 @@ def _ends(own, other, here, there, ground, normals, bend, jump):
     return n[0] * m[0] + n[1] * m[1] + n[2] * m[2] < bend
 
 
-@compiled
+@internal
 def _kind(triangle, ground, solids):
     if triangle < 0:
         return NO_SURFACE

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.geometry import normal_reach
 from terrain.geo.grid import MapView
 from terrain.geo.world import LocalFrame, World
@@ -126,8 +126,8 @@ def _smooth_ground(
     rows, cols = height.shape[0] - 2 * reach, height.shape[1] - 2 * reach
     points = np.empty((side, 3, height.shape[1]))  # of the rows round the one that is worked on
     whole = np.empty(side, np.bool_)  # which of these have all their points
-    normal, share = np.zeros((rows, cols, 3), np.float32), np.zeros((rows, cols), np.float32)
-    up = np.zeros((rows, cols, 3), np.float32)
+    normal, share = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols), np.float32)
+    up = np.empty((rows, cols, 3), np.float32)
     there = np.empty((rows, cols), np.bool_)
     own_normal, place = np.empty((3, cols), np.float32), np.empty((2, cols))  # of the row that is worked on
     complete = True
@@ -143,7 +143,8 @@ def _smooth_ground(
         for k in range(side):
             known = known and whole[k]
         if known:
-            there[at] = shown[at + reach, reach : reach + cols]
+            for j in range(cols):
+                there[at, j] = shown[at + reach, reach + j]
             row_complete = _normals_inside(above, here, below, reach, there[at], own_normal)
         else:
             _known_in_row(height, shown, at + reach, reach, there[at])
@@ -161,7 +162,7 @@ def _smooth_ground(
     return normal, up, share, there, complete
 
 
-@compiled
+@internal
 def _all_known(z, height):
     """Whether a row has all its points."""
     missing = 0
@@ -174,7 +175,7 @@ def _all_known(z, height):
 # arrays come together in one, and what does not change in one is a number.
 
 
-@compiled
+@internal
 def _open_sky_of_row(px, py, pz, normal, centre, share):
     """What slopes leave of the sky by themselves."""
     nx, ny, nz = normal[0], normal[1], normal[2]
@@ -183,7 +184,7 @@ def _open_sky_of_row(px, py, pz, normal, centre, share):
         share[j] = 0.5 + 0.5 * (nx[j] * x + ny[j] * y + nz[j] * z) / np.sqrt(x * x + y * y + z * z)
 
 
-@compiled
+@internal
 def _up_of_row(px, py, pz, centre, out):
     """Unit vectors up."""
     for j in range(px.size):
@@ -192,7 +193,7 @@ def _up_of_row(px, py, pz, centre, out):
         out[j, 0], out[j, 1], out[j, 2] = x / length, y / length, z / length
 
 
-@compiled
+@internal
 def _places_of_row(px, py, pz, height, frame_from_earth, origin, plane, axes, first, step, place):
     """Where points lie in the plane of a ``CellFinder``."""
     m00, m10, m20 = frame_from_earth[0, 0], frame_from_earth[1, 0], frame_from_earth[2, 0]
@@ -218,7 +219,7 @@ def _places_of_row(px, py, pz, height, frame_from_earth, origin, plane, axes, fi
             out_x[j], out_y[j] = in_plane(x, y, z, height[j], plane, own, begin, by)
 
 
-@compiled
+@internal
 def _cells_of_row(place, first, step, lattice, cells_a_node):
     """Take places in a finder's plane to rows and columns of the grid of what is hidden: runs of them lie in one square."""
     x, y, begin, by = place[0], place[1], (first[0], first[1]), (step[0], step[1])
@@ -235,14 +236,14 @@ def _cells_of_row(place, first, step, lattice, cells_a_node):
         start = end
 
 
-@compiled
+@internal
 def _cells_of_run(across, down, corners, at_j, at_i, cells_a_node):
     for j in range(across.size):
         row, col = cell_in_square(corners, across[j] - at_j, down[j] - at_i)
         across[j], down[j] = (row + 0.5) / cells_a_node - 0.5, (col + 0.5) / cells_a_node - 0.5
 
 
-@compiled
+@internal
 def _hide_row(row, col, values, level, share):
     """Take from a row's shares of the sky what ground hides there."""
     hidden = np.empty(share.size)
@@ -252,7 +253,7 @@ def _hide_row(row, col, values, level, share):
         share[j] = share[j] * (1.0 - hidden[j]) if known else share[j]
 
 
-@compiled
+@internal
 def _points_of_row(across, first_row, stride, row, height, out):
     """Frame points (3, cols) of a row of nodes, from exact rows' points and verticals (6, m, cols)."""
     coarse = row // stride
@@ -265,7 +266,7 @@ def _points_of_row(across, first_row, stride, row, height, out):
         at_height(feet, slopes, height, out[k])
 
 
-@compiled
+@internal
 def _known_in_row(height, shown, row, reach, there):
     """Where a row's nodes show ground: those that are a corner of a triangle. A quad that misses one corner is one."""
     for j in range(there.size):
@@ -281,7 +282,7 @@ def _known_in_row(height, shown, row, reach, there):
         there[j] = known
 
 
-@compiled
+@internal
 def _normals_inside(above, here, below, reach, there, out):
     """Smooth unit normals (3, cols) in a row round which nothing is missing; whether all of its ground has one."""
     cols = there.size
@@ -305,7 +306,7 @@ def _normals_inside(above, here, below, reach, there, out):
     return missing == 0
 
 
-@compiled
+@internal
 def _unit_normal(ax, ay, az, bx, by, bz):
     """The length of a cross product and its unit vector, which is rounded on the way as that of a geometry buffer is."""
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -315,16 +316,18 @@ def _unit_normal(ax, ay, az, bx, by, bz):
     return length, x / again, y / again, z / again
 
 
-@compiled
+@internal
 def _put_normals(normal, there, out):
-    """Put a row's normals (3, cols) where there is ground into an array (cols, 3)."""
+    """Put a row's normals (3, cols) where there is ground into an array (cols, 3), zeros elsewhere."""
     nx, ny, nz = normal[0], normal[1], normal[2]
     for j in range(there.size):
         if there[j]:
             out[j, 0], out[j, 1], out[j, 2] = nx[j], ny[j], nz[j]
+        else:
+            out[j, 0], out[j, 1], out[j, 2] = 0.0, 0.0, 0.0
 
 
-@compiled
+@internal
 def _normals_of_row(above, here, below, reach, there, out):
     """The same (3, cols) where there is ground, one-sided at its rim."""
     complete = True

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, Grid, MapView
 from terrain.ground.surface import map_pixel_m
@@ -132,13 +132,13 @@ def _sides_in(view: MapView, nodes: MapView) -> tuple[np.ndarray, np.ndarray]:
     return row - nodes.row0, col - nodes.col0
 
 
-@compiled
+@internal
 def _squares(sides, i):
     """The first square and the one after the last that lie between two sides."""
     return int(np.floor(sides[i] + ON_SIDE)), int(np.ceil(sides[i + 1] - ON_SIDE))
 
 
-@compiled
+@internal
 def _share(sides, i, n):
     """The share of square ``n`` between two sides; 1 where it lies between them but for rounding."""
     share = min(sides[i + 1], n + 1.0) - max(sides[i], np.float64(n))
@@ -171,7 +171,12 @@ def _shares(values, there, down, row_weights, right, col_weights, rows, cols):
     """As ``_means`` of bool, where all pixels cover squares alike (``_even``): in whole numbers."""
     out = np.empty((rows, cols), np.float32)
     wide = there.shape[1]
-    most = row_weights.sum() * col_weights.sum()
+    down_weight, right_weight = 0, 0
+    for k in range(row_weights.size):
+        down_weight += row_weights[k]
+    for k in range(col_weights.size):
+        right_weight += col_weights[k]
+    most = down_weight * right_weight
     quotients = np.empty(most + 1, np.float32)  # of all that may be lit in a pixel that shows nothing else than ground
     for n in range(most + 1):
         quotients[n] = np.float64(n) / np.float64(most)
@@ -204,7 +209,7 @@ def _shares(values, there, down, row_weights, right, col_weights, rows, cols):
     return out
 
 
-@compiled
+@internal
 def _all_there(there):
     missing = 0
     for n in range(there.size):
@@ -212,13 +217,13 @@ def _all_there(there):
     return missing == 0
 
 
-@compiled
+@internal
 def _add_weighted(values, weight, out):
     for n in range(out.size):
         out[n] += weight * np.int32(values[n])
 
 
-@compiled
+@internal
 def _sum_along(values, weights, out):
     """Weighted sums of as many values as there are weights, from each on; beyond the last that has so many nothing is said."""
     count = values.size - weights.size + 1

@@ -183,7 +183,8 @@ def _smooth_normals(position, reach):
     With ``reach`` one raster cell, the slope of a bilinear surface varies without a jump: facets do not show.
     """
     rows, cols, _ = position.shape
-    out = np.full((rows, cols, 3), np.nan, np.float32)
+    out = np.empty((rows, cols, 3), np.float32)
+    out[:] = np.nan
     for r in range(reach, rows - reach):
         for c in range(reach, cols - reach):
             p = position[r, c]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import internal
 
 LEAST_FACING = 0.25
 """Least cosine, between a smooth normal and the line of sight, that a lift is divided by: surfaces are seen edge-on, too."""
@@ -24,14 +24,14 @@ much.
 """
 
 
-@compiled
+@internal
 def is_smooth(face, smooth):
     """Whether a smooth normal is near enough to a triangle's that no crease lies between them; not where there is none."""
     length = np.sqrt(smooth[0] * smooth[0] + smooth[1] * smooth[1] + smooth[2] * smooth[2])
     return face[0] * smooth[0] + face[1] * smooth[1] + face[2] * smooth[2] >= CREASE * length
 
 
-@compiled
+@internal
 def up_at(point, centre, out):
     """The unit vector up at a point, away from a centre: along the third axis where that is infinitely far below."""
     x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
@@ -39,7 +39,7 @@ def up_at(point, centre, out):
     out[0], out[1], out[2] = (0.0, 0.0, 1.0) if np.isinf(length) else (x / length, y / length, z / length)
 
 
-@compiled
+@internal
 def lift_to(node, smooth, point, way):
     """How far a point has to go along a unit vector to the plane through a node across its smooth normal; 0 if it lies above, or
     where there is no normal.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.gbuffer.lift import is_smooth, lift_to, up_at
 
 ON_EDGE = 1e-6
@@ -19,16 +19,16 @@ def map_points(position, height, shown, falls, faces, smooth, row, col, wanted):
     triangle.
     """
     rows, cols = row.size, col.size
-    there = np.zeros((rows, cols), np.bool_)
-    point = np.full((rows, cols, 3), np.nan)
-    level = np.full((rows, cols), np.nan, np.float32)
-    normal = np.full((rows, cols, 3), np.nan, np.float32)
-    shading = np.full((rows, cols, 3), np.nan, np.float32)
-    crease = np.zeros((rows, cols), np.float32)
-    triangle = np.full((rows, cols, 3), -1, np.int32)
+    there = np.empty((rows, cols), np.bool_)
+    point, level = np.empty((rows, cols, 3)), np.empty((rows, cols), np.float32)
+    normal, shading = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols, 3), np.float32)
+    crease, triangle = np.empty((rows, cols), np.float32), np.empty((rows, cols, 3), np.int32)
     found = np.empty((8, 3), np.int64)
     for i in range(rows):
         for j in range(cols):
+            there[i, j], level[i, j], crease[i, j] = False, np.nan, 0.0
+            for k in range(3):
+                point[i, j, k], normal[i, j, k], shading[i, j, k], triangle[i, j, k] = np.nan, np.nan, np.nan, -1
             if not (wanted[i, j] and _nearest_shown(shown, row[i], col[j])):
                 continue
             count = facets_at(faces, falls, row[i], col[j], found)
@@ -59,11 +59,12 @@ def map_lifts(position, falls, faces, smooth, centre, row, col, point, triangle,
     much. NaN on a node that is as good as the raster's own, and beside a crease.
     """
     rows, cols = row.size, col.size
-    out = np.zeros((rows, cols), np.float32)
+    out = np.empty((rows, cols), np.float32)
     up, place, across = np.empty(3), np.empty(3), np.empty(3)
     for i in range(rows):
         for j in range(cols):
             r, c, half = triangle[i, j]
+            out[i, j] = 0.0
             if r < 0:
                 continue
             up_at(point[i, j], centre, up)
@@ -92,7 +93,7 @@ def map_lifts(position, falls, faces, smooth, centre, row, col, point, triangle,
     return out
 
 
-@compiled
+@internal
 def _between(values, row, col, out):
     """What vectors at nodes are at a place between them, bilinear."""
     r, c = int(np.floor(row)), int(np.floor(col))
@@ -106,7 +107,7 @@ def _between(values, row, col, out):
                 out[k] += w * values[r + m // 2, c + m % 2, k]
 
 
-@compiled
+@internal
 def facets_at(faces, falls, row, col, found):
     """The facets with three corners that a place of a sheet lies on: how many, and in ``found`` (8, 3) row and column of their
     quads and 0 or 1, as ``faces`` (rows, cols, 2, 3) has their normals. First those of the quad south-east of the place.
@@ -127,7 +128,7 @@ def facets_at(faces, falls, row, col, found):
     return count
 
 
-@compiled
+@internal
 def crease_at(faces, falls, row, col, normal):
     """The largest distance between a unit normal (3,) and those of the facets round the node nearest to a place of a sheet (round
     all of them, half-way between).
@@ -143,7 +144,7 @@ def crease_at(faces, falls, row, col, normal):
     return widest
 
 
-@compiled
+@internal
 def _crease_round(faces, falls, near_r, near_c, normal):
     """The largest distance between a unit normal (3,) and those of the facets round a node of a sheet."""
     widest = 0.0
@@ -162,7 +163,7 @@ def _crease_round(faces, falls, near_r, near_c, normal):
     return np.sqrt(widest)
 
 
-@compiled
+@internal
 def _nearest(row, col):
     """First and last row and column of the nodes nearest to a place: one of each, but for a place half-way between."""
     return (
@@ -171,13 +172,13 @@ def _nearest(row, col):
     )  # fmt: skip
 
 
-@compiled
+@internal
 def _nearest_shown(shown, row, col):
     low_r, high_r, low_c, high_c = _nearest(row, col)
     return shown[low_r, low_c] or shown[low_r, high_c] or shown[high_r, low_c] or shown[high_r, high_c]
 
 
-@compiled
+@internal
 def facet_corners(falls, half):
     """Rows and columns, from a quad's north-west corner, of a facet's corner off the diagonal, and of those before and after it."""
     if falls:
@@ -185,7 +186,7 @@ def facet_corners(falls, half):
     return ((0, 0), (1, 0), (0, 1)) if half == 0 else ((1, 1), (0, 1), (1, 0))
 
 
-@compiled
+@internal
 def _shares(falls, half, fr, fc):
     """How far a place in a quad lies from the first of ``facet_corners`` towards the other two."""
     if falls:
@@ -193,12 +194,12 @@ def _shares(falls, half, fr, fc):
     return (fr, fc) if half == 0 else (1.0 - fr, 1.0 - fc)
 
 
-@compiled
+@internal
 def _one_quad(found, n, m):
     return found[n, 0] == found[m, 0] and found[n, 1] == found[m, 1]
 
 
-@compiled
+@internal
 def _mean_normal(faces, found, count, out):
     """The mean direction of some facets' normals, unit length; both facets of a quad count as one, however a plane quad is cut."""
     if count == 1:
@@ -215,7 +216,7 @@ def _mean_normal(faces, found, count, out):
     out[0], out[1], out[2] = x / length, y / length, z / length
 
 
-@compiled
+@internal
 def _smooth_at(smooth, row, col, normal, out):
     """The smooth normal between the nodes' ones that exist, bilinear; the facets' own without any."""
     r0, c0 = int(np.floor(row)), int(np.floor(col))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.gbuffer.lift import is_smooth, lift_to
 from terrain.gbuffer.tree_instances import tree_corner
 
@@ -295,7 +295,7 @@ def resolve_map(number, solids, trees, albedo_root, points):
             _unit(shading[i, j])
 
 
-@compiled
+@internal
 def _tree_triangle(p, base, shape, turn, curvature, part):
     quad, second = part // 2, part % 2
     for c in range(3):
@@ -304,7 +304,7 @@ def _tree_triangle(p, base, shape, turn, curvature, part):
         p[c, 0], p[c, 1], p[c, 2] = x, y, z
 
 
-@compiled
+@internal
 def _on_plane(p, eye, ray):
     """Barycentric coordinates, held inside the triangle, of a ray's meeting with its plane."""
     e1x, e1y, e1z = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
@@ -319,7 +319,7 @@ def _on_plane(p, eye, ray):
     return _held(u, (ray[0] * qx + ray[1] * qy + ray[2] * qz) / det)
 
 
-@compiled
+@internal
 def _in_plan(q, x, y):
     ax, ay, bx, by = q[1, 0] - q[0, 0], q[1, 1] - q[0, 1], q[2, 0] - q[0, 0], q[2, 1] - q[0, 1]
     det = ax * by - ay * bx
@@ -329,7 +329,7 @@ def _in_plan(q, x, y):
     return _held((x * by - y * bx) / det, (ax * y - ay * x) / det)
 
 
-@compiled
+@internal
 def _held(u, v):
     u, v = min(max(u, 0.0), 1.0), min(max(v, 0.0), 1.0)
     if u + v > 1.0:
@@ -338,7 +338,7 @@ def _held(u, v):
     return u, v
 
 
-@compiled
+@internal
 def _face(p, out):
     ax, ay, az = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
     bx, by, bz = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
@@ -372,7 +372,7 @@ def _tree_look(point, ray, base, shape, root, shading, albedo):
         albedo[k] = (root[k] / 255.0) ** 2
 
 
-@compiled
+@internal
 def _unit(v):
     length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     if length > 0.0:

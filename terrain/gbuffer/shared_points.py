@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.lift import up_at
 from terrain.gbuffer.map_points import ON_EDGE, crease_at, facet_corners, facets_at
@@ -162,12 +162,12 @@ def _go_by_smooth(first, last, ground, smooth, lift, position, light, facing):
                     normal[i, j, k] = s[k]
 
 
-@compiled
+@internal
 def _along(vector, axis):
     return vector[0] * axis[0] + vector[1] * axis[1] + vector[2] * axis[2]
 
 
-@compiled
+@internal
 def _axes_at(point, centre, out):
     """Two horizontal axes and the one up at a point, the rows of (3, 3); the frame's own in a flat world."""
     up = out[2]
@@ -182,14 +182,14 @@ def _axes_at(point, centre, out):
         out[1, k] = up[(k + 1) % 3] * out[0, (k + 2) % 3] - up[(k + 2) % 3] * out[0, (k + 1) % 3]
 
 
-@compiled
+@internal
 def _in_plan(node, p, axes):
     """Where a node lies as seen from above, from a point on."""
     x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
     return axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
 
 
-@compiled
+@internal
 def _leads_over(nodes, falls, facet, p, axes, east, north):
     """Whether a way from a point on a facet's side or corner leads, seen from above, over the facet: no share that the point has
     none of (its barycentric coordinates) falls on the way.
@@ -209,7 +209,7 @@ def _leads_over(nodes, falls, facet, p, axes, east, north):
     return True
 
 
-@compiled
+@internal
 def _on_rim(falls, found, count, row, col):
     """Whether quads are missing round a place on a node or between two, or the other half of a quad on whose diagonal it lies."""
     quads = 0
@@ -226,7 +226,7 @@ def _on_rim(falls, found, count, row, col):
     return quads < beside
 
 
-@compiled
+@internal
 def _along_a_side(nodes, falls, found, count, p, axes, east, north):
     """Whether a way from a point runs, seen from above, along a side of one of its facets."""
     for k in range(count):
@@ -239,7 +239,7 @@ def _along_a_side(nodes, falls, found, count, p, axes, east, north):
     return False
 
 
-@compiled
+@internal
 def _inwards(nodes, falls, found, count, p, axes):
     """The horizontal direction, of unit length, from a point to the middle of its facets."""
     east, north = 0.0, 0.0

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.geo.world import LocalFrame
 from terrain.scene_objects import SceneObjects
 from terrain.trees.foliage import TREE_VARIANTS, leaf_outlines
@@ -178,7 +178,7 @@ def _share(size: np.ndarray) -> np.ndarray:
     return np.clip(size.astype(np.float64) ** 2, MIN_DRAWN_SHARE, 1.0)
 
 
-@compiled
+@internal
 def tree_corner(base, shape, turn, curvature, quad, corner):
     """One corner (x, y, z) of one quad of a tree, and its v coordinate (u is 0 at corners 0 and 3, else 1)."""
     cosine, sine = np.float64(turn[0]), np.float64(turn[1])
@@ -200,7 +200,7 @@ def tree_corner(base, shape, turn, curvature, quad, corner):
     )
 
 
-@compiled
+@internal
 def tree_radius(shape):
     """Radius of a sphere round the middle of a tree's stem that holds all of its quads."""
     across = max(shape[0], 1.4143 * shape[1])

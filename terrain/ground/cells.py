@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 
 ON_BORDER = 1e-6
 """How near to a border of cells, in cells, a place lies on it."""
 
 
-@compiled
+@internal
 def highest_cell(height, row, col):
     """Row and column of the cell that a place lies in, the highest of those that meet there; (-1, -1) where none has a height."""
     best_row, best_col = -1, -1

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.errors import InputError
 from terrain.geo.world import EARTH_RADIUS_M
 
@@ -150,7 +150,7 @@ def _node_errors(height, bulge_m):
     return error, parts
 
 
-@compiled
+@internal
 def _fill(height, bulge_m, error, parts, first_row, first_col, stride, down, right):
     """Fill in nodes whose hypotenuses end at (down, right) from them and opposite; those within their triangles are there.
 
@@ -187,7 +187,7 @@ def _fill(height, bulge_m, error, parts, first_row, first_col, stride, down, rig
                 error[row, col] = abs(height[row, col] - 0.5 * ends) + bulge_m
 
 
-@compiled
+@internal
 def _halves(height, parts, row, col, down, right, apex_row, apex_col):
     """Parts of both halves of a triangle, each bounded by its bisecting node, its apex and an end of its hypotenuse."""
     found = 0
@@ -278,7 +278,7 @@ def _split_under_eye(limit, height, eye_row, eye_col, eye_m, spacing_m, near_m):
         step *= 2
 
 
-@compiled
+@internal
 def _need_over(limit, at_row, at_col, step):
     """Need the nodes of a step that halve a triangle over a place."""
     middle_row = int(np.floor(at_row)) // (2 * step) * 2 * step + step
@@ -311,7 +311,7 @@ def _propagate(limit):
         step *= 2
 
 
-@compiled
+@internal
 def _at(limit, row, col):
     inside = 0 <= row < limit.shape[0] and 0 <= col < limit.shape[1]
     return limit[row, col] if inside else np.float32(0.0)

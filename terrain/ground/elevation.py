@@ -266,7 +266,7 @@ class Elevation:
         if self.surface == "blocks":
             height, there = cell_heights(values, valid, row - row0, col - col0)
         else:
-            height, there = bilinear(values, valid, row, col, np.float64(row0), np.float64(col0))
+            height, there = bilinear(values, valid, bool(valid.all()), row, col, np.float64(row0), np.float64(col0))
         return self._above_water(height), there
 
     def _above_water(self, height_m: np.ndarray) -> np.ndarray:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from terrain.compiled import compiled
+from terrain.compiled import internal
 
 
-@compiled
+@internal
 def widen(values, least, most):
     """Let ``least`` and ``most`` (all of the same length) reach as far as ``values``, place by place. NaN changes nothing.
 

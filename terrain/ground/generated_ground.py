@@ -17,7 +17,7 @@ from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.ground.erosion import drained
 from terrain.ground.noise import fractal, noise_at, ridged_at
 from terrain.level.parts import FlatGround, GeneratedGround, Terrain
@@ -134,7 +134,7 @@ def _by_strips(function: Callable[..., None], rows: int, cols: int, *parameters:
     return out
 
 
-@compiled
+@internal
 def _cubic(a, b, c, d, t):
     """Catmull and Rom's cubic between b (t = 0) and c (t = 1), and its slope."""
     p, q, r = 0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c)

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 
 OCTAVE_GAIN = 0.5
 """Amplitude of an octave as a share of the octave before."""
 
 
-@compiled
+@internal
 def _hashed(i, j, seed):
     """A lattice point's 32 bits: two rounds of the finaliser of MurmurHash3 (Appleby, public domain), with products of 64 bits."""
     low = np.uint64(0xFFFFFFFF)
@@ -28,7 +28,7 @@ def _hashed(i, j, seed):
     return np.uint32(h)
 
 
-@compiled
+@internal
 def _ramp(h, x, y):
     """The dot product of (x, y) with one of eight gradients, none along an axis or a diagonal: that of a lattice point's bits."""
     long = x if h & np.uint32(1) else y
@@ -68,7 +68,7 @@ def noise_along(x, y, seed, out):
         out[n] = south + v * (north - south)
 
 
-@compiled
+@internal
 def fractal_at(x, y, octaves, seed):
     """Octaves of gradient noise, the first of wavelength 1, about -1 to 1. Each is turned, so that no lattice shows."""
     total, amplitude = 0.0, 1.0
@@ -80,7 +80,7 @@ def fractal_at(x, y, octaves, seed):
     return total
 
 
-@compiled
+@internal
 def ridged_at(x, y, octaves, seed):
     """Ridged multifractal noise, the first octave of wavelength 1: about 0 to 2, sharp crests, smooth floors.
 

@@ -114,10 +114,11 @@ def _normals(position, falls):
 @compiled
 def _with_corners(triangles, known):
     """The triangles (n, 3) whose corners are all ``known``, in order."""
-    out = np.empty_like(triangles)
+    out = np.empty((triangles.shape[0], 3), np.int32)
     count = 0
     for i in range(triangles.shape[0]):
         if known[triangles[i, 0]] and known[triangles[i, 1]] and known[triangles[i, 2]]:
-            out[count] = triangles[i]
+            for k in range(3):
+                out[count, k] = triangles[i, k]
             count += 1
     return out[:count]

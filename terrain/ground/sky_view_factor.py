@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
 
@@ -144,9 +144,10 @@ def _sector(aside: int, narrow: np.ndarray) -> np.ndarray:
 def _slopes(height, across_m, down_m):
     """Rise per metre (rows, cols, 2) along rows and from row to row: central differences, one-sided beside holes and at borders."""
     rows, cols = height.shape
-    out = np.zeros((rows, cols, 2))
+    out = np.empty((rows, cols, 2))
     for r in range(rows):
         for c in range(cols):
+            out[r, c, 0], out[r, c, 1] = 0.0, 0.0
             if not np.isfinite(height[r, c]):
                 continue
             west = 1 if c > 0 and np.isfinite(height[r, c - 1]) else 0
@@ -160,7 +161,7 @@ def _slopes(height, across_m, down_m):
     return out
 
 
-@compiled
+@internal
 def _light(tangent, rise):
     """What a sector of the sky above a tangent gives a plane that rises by ``rise`` towards it: Dozier and Frew's integrand over
     the cosine of the plane's slope, ``sin^2 H - rise (H - sin H cos H)`` with the horizon H counted from the zenith.
@@ -297,7 +298,7 @@ def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, 
         out[n, 0], out[n, 1] = (row + 0.5) / side - 0.5, (col + 0.5) / side - 0.5
 
 
-@compiled
+@internal
 def in_plane(x, y, z, height, plane, axes, first, step):
     """Where in a finder's plane the ground lies below an earth-fixed point with a height. What is of the finder may be tuples."""
     if plane == FLAT_PLANE:
@@ -313,14 +314,14 @@ def in_plane(x, y, z, height, plane, axes, first, step):
     return east / away, north / away
 
 
-@compiled
+@internal
 def cell_in_plane(x, y, first, step, lattice):
     """Row and column in the raster of a place in a finder's plane; NaN where it has none."""
     across, down, j, i = square_of_lattice(x, y, first, step, lattice.shape[0], lattice.shape[1])
     return cell_in_square(corners_of_square(lattice, i, j), across - j, down - i)
 
 
-@compiled
+@internal
 def square_of_lattice(x, y, first, step, rows, cols):
     """How far across and down a lattice a place in a finder's plane lies, NaN where it has no cell; and the column and row of the
     square there, or nearest to it.
@@ -332,7 +333,7 @@ def square_of_lattice(x, y, first, step, rows, cols):
     return across if known else np.nan, down if known else np.nan, j, i
 
 
-@compiled
+@internal
 def corners_of_square(lattice, i, j):
     """Rows and then columns in the raster at the four corners of a lattice's square: from the west on, the upper side first."""
     return (
@@ -341,7 +342,7 @@ def corners_of_square(lattice, i, j):
     )  # fmt: skip
 
 
-@compiled
+@internal
 def cell_in_square(corners, u, v):
     """Row and column in the raster at shares of the way across and down a square."""
     r0, r1, r2, r3, c0, c1, c2, c3 = corners
@@ -382,7 +383,7 @@ def pyramid_level(table, wide):
     )  # fmt: skip
 
 
-@compiled
+@internal
 def hidden_on(values, level, row, col):
     """The share of the sky that ground hides at a row and column of the grid ``hidden``, as a mean over what a ``level`` is for."""
     hidden = _bilinear(values, level.begin, level.rows, level.cols, row, col, level.scale)
@@ -392,7 +393,7 @@ def hidden_on(values, level, row, col):
     return hidden
 
 
-@compiled
+@internal
 def hidden_on_row(values, level, row, col, out):
     """The same at many rows and columns (n,)."""
     _bilinear_row(values, level.begin, level.rows, level.cols, row, col, level.scale, out)
@@ -403,7 +404,7 @@ def hidden_on_row(values, level, row, col, out):
             out[n] += level.coarser * (coarse[n] - out[n])
 
 
-@compiled
+@internal
 def _bilinear(values, begin, rows, cols, row, col, scale):
     """A level's value at a place in the finest level's nodes; the outermost values beyond their middles."""
     r0, c0, down, across = _corner(rows, cols, row, col, scale)
@@ -412,7 +413,7 @@ def _bilinear(values, begin, rows, cols, row, col, scale):
     return _between(values[at], values[at + right], values[at + below], values[at + below + right], down, across)
 
 
-@compiled
+@internal
 def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
     """The same at many places (n,). What is looked up stands between loops that compile to vector instructions."""
     r0, c0 = np.empty(out.size, np.int32), np.empty(out.size, np.int32)
@@ -434,7 +435,7 @@ def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
         out[n] = _between(west[n], east[n], south_west[n], south_east[n], down[n], across[n])
 
 
-@compiled
+@internal
 def _corner(rows, cols, row, col, scale):
     """Row and column of a level's node before a place, and how far beyond it lies; both 0 where the place is none."""
     r, c = min(max((row + 0.5) * scale - 0.5, 0.0), rows - 1.0), min(max((col + 0.5) * scale - 0.5, 0.0), cols - 1.0)
@@ -442,7 +443,7 @@ def _corner(rows, cols, row, col, scale):
     return r0, c0, r - r0, c - c0
 
 
-@compiled
+@internal
 def _between(west, east, south_west, south_east, down, across):
     north, south = west + across * (east - west), south_west + across * (south_east - south_west)
     return north + down * (south - north)

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 from terrain.geo.grid import Grid, MapView, step_at_anchor_m
 from terrain.geo.world import LocalFrame, World, transformer
 from terrain.ground.elevation import Elevation
@@ -251,7 +251,7 @@ def _refined(height, row0, col0, rows, cols):
     return out
 
 
-@compiled
+@internal
 def refined_row(height, row, col0, out):
     """Heights of a row of ``_refined``, 0 or 1 being the first; in loops that compile to vector instructions."""
     above, below = height[row // 2], height[(row + 1) // 2]
@@ -273,12 +273,12 @@ def refined_row(height, row, col0, out):
         out[last] = _middle(above[col0 + pairs], below[col0 + pairs])
 
 
-@compiled
+@internal
 def _middle(one, other):
     return np.float32(0.5 * (np.float64(one) + np.float64(other)))
 
 
-@compiled
+@internal
 def _quad_middle(west, east, south_west, south_east):
     """The height in the middle of a quad, on the higher one of its diagonals."""
     falling = 0.5 * (np.float64(west) + np.float64(south_east))
@@ -295,7 +295,7 @@ def _refined_there(there, row0, col0, rows, cols):
     return out
 
 
-@compiled
+@internal
 def _refined_row_there(above, below, col0, out):
     if col0 == 1:
         out[0] = (above[0] & below[1]) | (above[1] & below[0])
@@ -310,7 +310,7 @@ def _refined_row_there(above, below, col0, out):
         out[last] = above[col0 + pairs] & below[col0 + pairs]
 
 
-@compiled
+@internal
 def cubic_weights(t):
     """Lagrange weights of the nodes -1, 0, 1, 2 at ``t`` in [0, 1)."""
     return (
@@ -398,7 +398,7 @@ def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols
             _put_columns(ends, count, flat, start + top * down, down, right)
 
 
-@compiled
+@internal
 def _of_row(exact, m, share, out):
     """Exact columns' values (n,) of a row between exact ones (m, n)."""
     w = cubic_weights(share)
@@ -412,7 +412,7 @@ def _of_row(exact, m, share, out):
 # The next loops are written so that they compile to vector instructions: slices have their lengths, and rows lie side by side.
 
 
-@compiled
+@internal
 def _between_exact(values, n, weights, first, out):
     """Of nodes between the exact columns ``n`` + 1 and ``n`` + 2, from number ``first`` on."""
     a, b, c, d = values[n], values[n + 1], values[n + 2], values[n + 3]
@@ -422,7 +422,7 @@ def _between_exact(values, n, weights, first, out):
         out[j] = w0[j] * a + w1[j] * b + w2[j] * c + w3[j] * d
 
 
-@compiled
+@internal
 def _ends_of(feet, slopes, n, weights, first, height, at, out, count):
     """Of ``count`` nodes of a row between the exact columns ``n`` + 1 and ``n`` + 2, from number ``first`` and column ``at`` on."""
     a, b, c, d = feet[n], feet[n + 1], feet[n + 2], feet[n + 3]
@@ -451,7 +451,7 @@ def between_columns(exact, first_col, stride, col0, cols):
     return out
 
 
-@compiled
+@internal
 def between_rows(exact, m, share, out):
     """Values (cols,) of a row after the exact row ``m`` of some (rows, cols), by a share of the way to the next."""
     here = exact[m]
@@ -465,14 +465,14 @@ def between_rows(exact, m, share, out):
             out[j] = w0 * before[j] + w1 * here[j] + w2 * after[j] + w3 * beyond[j]
 
 
-@compiled
+@internal
 def at_height(foot, slope, height, out):
     """Coordinates (cols,) at the ends of heights, of those of their feet and by how much these change per metre."""
     for j in range(height.size):
         out[j] = foot[j] + np.float64(height[j]) * slope[j]
 
 
-@compiled
+@internal
 def _put(values, flat, start, step):
     """Put values side by side into an array, from one place on or back from it."""
     count = values.size
@@ -486,7 +486,7 @@ def _put(values, flat, start, step):
             target[count - 1 - n] = values[n]
 
 
-@compiled
+@internal
 def _put_columns(values, count, flat, start, down, right):
     """Put the first ``count`` rows of values into an array whose columns lie side by side, from one place on: in blocks that fill
     whole lines of the cache.
@@ -526,7 +526,7 @@ def _scattered(first, last, exact, first_row, first_col, stride, row, col, heigh
             out[n, k] = ground + np.float64(height[n]) * _cubic(exact, m, p, w, v, k + 3)
 
 
-@compiled
+@internal
 def _cubic(exact, m, p, w, v, k):
     if v[1] == 1.0:
         return _cubic_down(exact, m, p, w, k)
@@ -536,7 +536,7 @@ def _cubic(exact, m, p, w, v, k):
     )  # fmt: skip
 
 
-@compiled
+@internal
 def _cubic_down(exact, m, n, w, k):
     if w[1] == 1.0:
         return exact[m, n, k]

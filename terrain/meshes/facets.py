@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, internal
 
 
 class FacesRound(NamedTuple):
@@ -107,7 +107,7 @@ def _creases(first, last, position, faces, triangles, around, limit, wanted, out
         out[t] = np.sqrt(worst)
 
 
-@compiled
+@internal
 def _rises(position, corners, point, normal):
     """Whether a corner of a triangle lies above a plane, by more than rounding."""
     for k in range(3):

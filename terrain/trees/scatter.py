@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 
 LEAST_SPACING = 0.5
 """Least distance between two trees, in cells. A cell's centre is that far from whatever stands in other cells."""
@@ -98,7 +98,7 @@ def _scattered(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[Place
         yield Places(x, y, key)
 
 
-@compiled
+@internal
 def _mixed(x):
     """splitmix64 (G. L. Steele, D. Lea, C. H. Flood: Fast splittable pseudorandom number generators, OOPSLA 2014)."""
     x = x + _GOLDEN
@@ -107,13 +107,13 @@ def _mixed(x):
     return x ^ (x >> _S31)
 
 
-@compiled
+@internal
 def pair_key(seed, i, j):
     """Hash uint64 of a pair of integers, for compiled loops."""
     return _mixed(_mixed(_mixed(np.uint64(seed)) ^ np.uint64(i)) ^ np.uint64(j))
 
 
-@compiled
+@internal
 def _share(key, stream):
     return np.float64(_mixed(key ^ _mixed(np.uint64(stream))) >> _S11) * 2.0**-53
 

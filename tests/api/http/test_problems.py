@@ -27,7 +27,8 @@ def check_problem(answer: httpx.Response, status: int, code: str, parameter: str
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.headers["cache-control"] == "no-store"
     problem = answer.json()
-    assert set(problem) == {"type", "title", "status", "detail", "code"} | ({"parameter"} if parameter else set())
+    more = {"parameter"} if parameter else {"preparing"} if code == "not_ready" else set()
+    assert set(problem) == {"type", "title", "status", "detail", "code"} | more
     assert (problem["status"], problem["code"], problem.get("parameter")) == (status, code, parameter)
     assert "Traceback" not in problem["detail"] and "/" not in problem["detail"].replace(str(answer.url.path), "")
     return problem

@@ -124,6 +124,22 @@ def test_a_service_with_another_renderer_than_expected_does_not_draw(serve_with)
     check_problem(client.get("/readyz"), 503, "not_ready", None)
 
 
+def test_a_first_start_tells_how_far_it_is_and_lets_tiles_wait(serve_with):
+    go = get_context("spawn").Semaphore(0)
+    client = serve_with(functools.partial(fake_workers.compiling, go=go))
+    with ThreadPoolExecutor(1) as thread:
+        waiting = thread.submit(client.get, tile())
+        while (problem := check_problem(client.get("/readyz"), 503, "not_ready", None))["preparing"]["total"] == 0:
+            pass
+        assert problem["preparing"] == {"task": "compiling loops for map tiles", "done": 3, "total": 9}
+        assert client.get("/levels").status_code == 200, "what needs no drawing is there"
+        assert not waiting.done()
+        go.release()
+        assert waiting.result(SOON_S).status_code == 200
+    ready = client.get("/readyz")
+    assert ready.status_code == 200 and ready.json()["preparing"] is None
+
+
 def test_what_the_work_says_is_for_the_log(serve_with, caplog: pytest.LogCaptureFixture):
     problem = check_problem(serve_with(fake_workers.leaky).get(tile()), 500, "render", None)
     assert "secret" not in problem["detail"]

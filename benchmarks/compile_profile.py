@@ -1,0 +1,247 @@
+"""What compiling costs until a product is there for the first time: CPU seconds of each loop, and of numba's own helpers.
+
+`python -m benchmarks.start --compile` calls this module in a fresh process whose compiled loops nobody keeps yet.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import local
+from typing import Any
+
+import numba
+import numpy as np
+import rasterio
+from numba.core import event
+
+from benchmarks.sweep_speed import mountains
+
+ROOT = Path(__file__).resolve().parents[1]
+WOODED_LEVEL = ROOT / "configs" / "jacksboro_wooded.yaml"
+
+SIDE, CELL_M = 400, 30.0
+"""The bare raster: 12 x 12 km of fractal mountains in UTM zone 11, with a hole."""
+
+OUR_PACKAGES = "api", "selector", "shadows", "terrain", "benchmarks"
+YARDSTICK_ROUNDS = 3
+
+
+@dataclass
+class Compilation:
+    """A compilation of one loop for one signature.
+
+    Attributes
+    ----------
+    loop : str
+        Module and name.
+    signature : str
+        Types of its arguments.
+    cause : str
+        The loop of ours that is compiled meanwhile; of a loop of ours its own name.
+    own_s, total_s : float
+        CPU seconds without and with what it calls.
+    front_s : float
+        Share of ``own_s`` before machine code is made: type inference and the like.
+    """
+
+    loop: str
+    signature: str
+    cause: str
+    own_s: float = 0.0
+    total_s: float = 0.0
+    front_s: float = 0.0
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it is a loop of this project, not a helper of numba."""
+        return self.loop.split(".")[0] in OUR_PACKAGES
+
+
+@dataclass
+class Profile(event.Listener):
+    """Adds up the CPU time of compiler passes, by loop and signature."""
+
+    done: list[Compilation] = field(default_factory=list)
+    _state: local = field(default_factory=local)
+
+    def _stack(self) -> list[Any]:
+        if not hasattr(self._state, "stack"):
+            self._state.stack, self._state.siblings = [], [{}]
+        return self._state.stack
+
+    def on_start(self, event: Any) -> None:
+        """A pass begins, maybe while one of a caller runs."""
+        stack = self._stack()
+        siblings = self._state.siblings[-1]
+        module, name = event.data["module"], event.data["qualname"]
+        key = f"{module}.{name}", str(event.data["args"])
+        if key not in siblings:
+            made = Compilation(*key, cause="")
+            made.cause = made.loop if made.is_ours or not stack else stack[-1][0].cause
+            siblings[key] = made
+            self.done.append(made)
+        self._state.siblings.append({})
+        stack.append([siblings[key], time.thread_time(), 0.0])
+
+    def on_end(self, event: Any) -> None:
+        """The innermost pass ends."""
+        stack = self._stack()
+        self._state.siblings.pop()
+        made, begin, within = stack.pop()
+        spent = time.thread_time() - begin
+        made.total_s += spent
+        made.own_s += spent - within
+        if "native_lowering" not in event.data["name"]:
+            made.front_s += spent - within
+        if stack:
+            stack[-1][2] += spent
+
+
+def yardstick_s() -> float:
+    """CPU seconds of compiling a fixed small loop: the median of some rounds."""
+    seconds = []
+    for number in range(YARDSTICK_ROUNDS + 1):  # the first one reads numba in
+        source = _yardstick_loop(number)
+        begin = time.process_time()
+        source(np.zeros((4, 4)), 1.0)
+        seconds.append(time.process_time() - begin)
+    return float(np.median(seconds[1:]))
+
+
+def _yardstick_loop(number: int) -> Callable[[np.ndarray, float], float]:
+    @numba.njit
+    def smooth(values, weight):  # type: ignore[no-untyped-def]
+        total = float(number)
+        for i in range(1, values.shape[0] - 1):
+            for j in range(1, values.shape[1] - 1):
+                near = values[i - 1, j] + values[i + 1, j] + values[i, j - 1] + values[i, j + 1]
+                values[i, j] += weight * (near / 4 - values[i, j])
+                total += np.sqrt(abs(values[i, j]))
+        return total
+
+    return smooth  # type: ignore[no-any-return]
+
+
+def bare_raster(folder: Path) -> Path:
+    """Write the bare raster; its file."""
+    heights = mountains(SIDE)
+    heights[100:120, 200:230] = -9999.0
+    path = folder / "mountains.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=SIDE, height=SIDE, count=1, dtype="float32", crs="EPSG:32611", nodata=-9999.0,
+        transform=rasterio.transform.from_origin(400_000.0, 3_800_000.0, CELL_M, CELL_M),
+    ) as file:  # fmt: skip
+        file.write(heights, 1)
+    return path
+
+
+def _tile(file: str, folder: Path) -> None:
+    from morecantile import tms as matrix_sets
+
+    from api.workers.drawn_blocks import block_of_grid, drawn_block
+    from api.workers.warm_up import warm_up
+    from selector.select import plan_of_view
+    from terrain.geo.grid import BLOCK_PX, tile_grid
+    from terrain.level.level import load_level
+    from terrain.level.level_source import LevelSource
+    from terrain.scene import build_scene
+
+    warm_up()
+    scene, zoom = build_scene(load_level(LevelSource(path=Path(file).resolve()))), 12
+    grid, matrices = tile_grid(matrix_sets.get("WebMercatorQuad"), zoom), matrix_sets.get("WebMercatorQuad")
+    point = matrices.xy(scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
+    x, y = int((point.x - grid.x0) / grid.step // BLOCK_PX), int((grid.y0 - point.y) / grid.step // BLOCK_PX)
+    view = block_of_grid(grid, x, y)
+    drawn_block(scene, view, plan_of_view(scene, view, policy="rules"), "color")
+    scene.close()
+
+
+def _command(*arguments: str) -> Callable[[str, Path], None]:
+    def run(file: str, folder: Path) -> None:
+        from api.cli.main import app
+
+        app([part.format(file=file, folder=folder) for part in arguments], standalone_mode=False)
+
+    return run
+
+
+PRODUCTS: dict[str, Callable[[str, Path], None]] = {
+    "tile": _tile,
+    "shade": _command("shade", "{file}", "-o", "{folder}/shade.tif", "--azimuth", "200", "--altitude", "30"),
+    "sunhours": _command("sunhours", "{file}", "-o", "{folder}/hours.tif", "--date", "2024-03-21"),
+    "point": _command("point", "{file}", "--at", "-118.05,34.28", "--time", "2024-03-21T15:00:00-08:00"),
+    "render": _command("render", "{file}", "-o", "{folder}/view.png", "--size", "400x300"),
+}
+"""What is made: a first tile after a render process has started, or the files and the answer of a command."""
+
+
+def profile_of(product: str, file: str | None) -> dict[str, Any]:
+    """Make a product once in a fresh process with an empty cache of compiled loops; what was compiled."""
+    with tempfile.TemporaryDirectory() as folder:
+        if file is None:
+            file = str(WOODED_LEVEL if product == "render" else bare_raster(Path(folder)))
+        answer = Path(folder) / "profile.json"
+        env = {**os.environ, "NUMBA_CACHE_DIR": str(Path(folder) / "loops"), "XDG_CACHE_HOME": str(Path(folder) / "cache")}
+        subprocess.run([sys.executable, "-m", __spec__.name, product, file, folder, str(answer)], env=env, check=True)
+        return dict(json.loads(answer.read_text(encoding="utf-8")))
+
+
+def _measure(product: str, file: str, folder: str, answer: str) -> None:
+    stick = yardstick_s()
+    profile = Profile()
+    with event.install_listener("numba:run_pass", profile):
+        begin = time.process_time()
+        PRODUCTS[product](file, Path(folder))
+        spent = time.process_time() - begin
+    found = {"cpu_s": spent, "yardstick_s": stick, "loops": [vars(made) for made in profile.done]}
+    Path(answer).write_text(json.dumps(found), encoding="utf-8")
+
+
+def table_of(product: str, found: dict[str, Any], rows: int) -> list[str]:
+    """The profile as lines of text: the sum, our loops by their own time, numba's helpers by theirs."""
+    made = [Compilation(**each) for each in found["loops"]]
+    ours, helpers = [each for each in made if each.is_ours], [each for each in made if not each.is_ours]
+    own, front = (sum(getattr(each, what) for each in made) for what in ("own_s", "front_s"))
+    lines = [
+        f"{product}: {own:.1f} s of CPU for {len(made)} compilations ({found['cpu_s']:.1f} s with all else); "
+        f"yardstick {found['yardstick_s'] * 1e3:.0f} ms, so {own / found['yardstick_s']:.0f} of it",
+        f"  {len(ours)} of {len({each.loop for each in ours})} loops: {sum(e.own_s for e in ours):.1f} s; "
+        f"{len(helpers)} of numba's helpers: {sum(e.own_s for e in helpers):.1f} s; "
+        f"{own - front:.1f} s for machine code, {front:.1f} s before",
+        "",
+        "  own s   with callees  helpers  loop (a line for each signature)",
+    ]
+    helped = Counter[str]()
+    for each in helpers:
+        helped[each.cause] += each.own_s
+    for each in sorted(ours, key=lambda e: -e.own_s)[:rows]:
+        lines.append(f"  {each.own_s:6.2f}  {each.total_s:12.2f}  {helped[each.loop]:7.2f}  {each.loop}{_short(each.signature)}")
+    lines += ["", "   sum s  times  helper of numba, and the loops that cause it"]
+    sums, times, causes = Counter[str](), Counter[str](), dict[str, Counter[str]]()
+    for each in helpers:
+        sums[each.loop] += each.own_s
+        times[each.loop] += 1
+        causes.setdefault(each.loop, Counter())[each.cause.rpartition(".")[2]] += 1
+    for name, seconds in sums.most_common(rows):
+        by = ", ".join(f"{cause} {count}" if count > 1 else cause for cause, count in causes[name].most_common())
+        lines.append(f"  {seconds:6.2f}  {times[name]:5}  {name}: {by}")
+    return lines
+
+
+def _short(signature: str) -> str:
+    for long, short in (("array", ""), ("int64", "i8"), ("int32", "i4"), ("float64", "f8"), ("float32", "f4")):
+        signature = signature.replace(long, short)
+    return signature if len(signature) < 160 else f"{signature[:156]}...)"
+
+
+if __name__ == "__main__":
+    _measure(*sys.argv[1:])

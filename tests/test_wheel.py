@@ -1,0 +1,119 @@
+"""A wheel with compiled loops: installed into an empty environment, with an empty home, where site-packages cannot be written."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import sysconfig
+import time
+import urllib.error
+import urllib.request
+import venv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from terrain.compiling.bundle import use_bundled_loops
+from tests.rasters import write_geotiff
+
+ROOT = Path(__file__).resolve().parents[1]
+
+COUNTED = """
+import sys
+from terrain.compiling import loop_cache
+loop_cache.recorders.append(lambda loop, args: print("compiled", loop.py_func.__name__, file=sys.stderr))
+from api.cli.main import main
+main()
+"""
+"""The command, which tells of each loop that it compiles."""
+
+pytestmark = pytest.mark.long
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The interpreter of an environment that has the wheel, and what it depends on from this one; none of it can be written."""
+    folder = tmp_path_factory.mktemp("wheel")
+    subprocess.run(
+        [sys.executable, "scripts/make_wheel.py", folder], cwd=ROOT, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
+    (wheel,) = folder.glob("*.whl")
+    assert wheel.stat().st_size < 20 * 2**20
+    assert not (ROOT / "terrain" / "compiling" / "bundled").exists()
+    venv.create(folder / "env")
+    python = folder / "env" / "bin" / "python"
+    site = next((folder / "env" / "lib").glob("python*/site-packages"))
+    # Packages by a path: an editable installation of Skugga there is not followed.
+    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
+    subprocess.run([sys.executable, "-m", "pip", "--python", python, "install", "-qq", "--no-deps", wheel], check=True)
+    for path in [site, *site.rglob("*")]:
+        path.chmod(path.stat().st_mode & ~0o222)
+    return python
+
+
+@pytest.fixture
+def dem(tmp_path: Path) -> Path:
+    rows, cols = np.mgrid[:200, :200] / 30.0
+    heights = (500.0 + 300.0 * np.sin(rows) * np.cos(cols)).astype(np.float32)
+    return write_geotiff(tmp_path / "dem.tif", heights, "EPSG:32632", 600_000, 5_100_000, 30)
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> dict[str, str]:
+    """The environment of a user whose home is empty."""
+    (tmp_path / "home").mkdir()
+    kept = {name: value for name, value in os.environ.items() if name in ("PATH", "LANG", "SKUGGA_EXPECT_RENDERER")}
+    return {**kept, "HOME": str(tmp_path / "home"), "SKUGGA_CALIBRATE_WHEN_IDLE": "false", "PYTHONDONTWRITEBYTECODE": "1"}
+
+
+def test_the_first_mask_of_a_wheel_compiles_nothing(
+    installed: Path, dem: Path, home: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"):
+        monkeypatch.delenv(name, raising=False)
+    command = ["shade", dem, "--azimuth", "237", "--altitude", "12", "-o", dem.with_name("mask.tif")]
+    done = subprocess.run([installed, "-c", COUNTED, *command], env=home, cwd=dem.parent, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "compiled" not in done.stderr
+    assert dem.with_name("mask.tif").is_file()
+    assert not use_bundled_loops(), "a clone compiles for its own processor"
+
+
+def test_a_wheel_of_another_version_compiles(installed: Path, dem: Path, home: dict[str, str]) -> None:
+    command = ["shade", dem, "--azimuth", "237", "--altitude", "12", "-o", dem.with_name("mask.tif")]
+    other = {**home, "NUMBA_OPT": "1"}  # what changes the key of every loop
+    done = subprocess.run([installed, "-c", COUNTED, *command], env=other, cwd=dem.parent, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert dem.with_name("mask.tif").is_file() and list((Path(home["HOME"]) / ".cache" / "skugga" / "loops").glob("*.loop"))
+
+
+def test_a_library_user_keeps_his_processor(installed: Path, home: dict[str, str]) -> None:
+    code = "import os, skugga; skugga.shadow; print(sorted(set(os.environ) & {'NUMBA_CPU_NAME', 'NUMBA_CPU_FEATURES'}))"
+    done = subprocess.run([installed, "-c", code], env=home, capture_output=True, text=True, check=True, cwd=home["HOME"])
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_service_of_a_wheel_draws_its_first_tile(installed: Path, dem: Path, home: dict[str, str]) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    url, log = f"http://127.0.0.1:{port}", dem.with_name("log")
+    with log.open("w") as written, subprocess.Popen(
+        [installed.with_name("skugga"), "serve", dem, "--port", str(port)], env=home, cwd=dem.parent, stderr=written
+    ) as server:  # fmt: skip
+        try:
+            give_up = time.monotonic() + 300.0
+            while True:
+                try:
+                    with urllib.request.urlopen(f"{url}/levels/dem/snapshot.png", timeout=300) as answer:
+                        assert answer.read().startswith(b"\x89PNG")
+                    break
+                except (urllib.error.URLError, ConnectionError):
+                    assert time.monotonic() < give_up and server.poll() is None, log.read_text()
+                    time.sleep(0.1)
+        finally:
+            server.terminate()
+    assert "compiling" not in log.read_text()
