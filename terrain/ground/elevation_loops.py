@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
+from terrain.compiled import compiled, internal
 from terrain.ground.extremes import widen
 
 
@@ -20,9 +20,10 @@ def on_level(row, col, factor, rows, cols):
         _row_on_level(row[i], col[i], factor, rows, cols, out_row[i], out_col[i])
         widen(out_row[i], ends[0], ends[1])
         widen(out_col[i], ends[2], ends[3])
-    found = np.array([[np.inf, -np.inf], [np.inf, -np.inf]])
-    for j in range(row.shape[1]):
-        for axis in range(2):
+    found = np.empty((2, 2))
+    for axis in range(2):
+        found[axis, 0], found[axis, 1] = np.inf, -np.inf
+        for j in range(row.shape[1]):
             found[axis, 0] = min(found[axis, 0], ends[2 * axis, j])
             found[axis, 1] = max(found[axis, 1], ends[2 * axis + 1, j])
     return out_row, out_col, found
@@ -31,7 +32,7 @@ def on_level(row, col, factor, rows, cols):
 # The next loops are written so that they compile to vector instructions. What is NaN is neither less nor greater.
 
 
-@compiled
+@internal
 def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
     endless = cols == np.inf
     for j in range(out_row.size):
@@ -41,16 +42,15 @@ def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
 
 
 @compiled
-def bilinear(values, valid, row, col, row0, col0):
+def bilinear(values, valid, whole, row, col, row0, col0):
     """Bilinear heights at (row, col) of a window that begins at (row0, col0), clamped beyond its outer centres; and the nearest
-    cell's validity.
+    cell's validity. ``whole``: all cells are valid.
     """
     rows, cols = values.shape
     out = np.empty(row.shape, np.float32)
     there = np.empty(row.shape, np.bool_)
     corner, nearest = np.empty((2, row.shape[1]), np.int32), np.empty((2, row.shape[1]), np.int32)
     beyond, four = np.empty((2, row.shape[1])), np.empty((4, row.shape[1]), np.float32)
-    whole = valid.all()
     for i in range(row.shape[0]):
         _cells_before(row[i], row0, rows, corner[0], nearest[0], beyond[0])
         _cells_before(col[i], col0, cols, corner[1], nearest[1], beyond[1])
@@ -65,7 +65,7 @@ def bilinear(values, valid, row, col, row0, col0):
     return out, there
 
 
-@compiled
+@internal
 def _cells_before(at, first, count, before, nearest, beyond):
     """Along an axis of ``count`` cells from ``first`` on: the cell before a place and the nearest one, clamped, and the share of
     the way to the next. Where a place is none that is NaN, and the cells are any.
@@ -79,7 +79,7 @@ def _cells_before(at, first, count, before, nearest, beyond):
         beyond[j] = (inside if place == place else np.nan) - before[j]
 
 
-@compiled
+@internal
 def _look_up(values, row, col, out):
     """The values (4, n) of cells and of those right of them, and of both below."""
     rows, cols = values.shape
@@ -89,7 +89,7 @@ def _look_up(values, row, col, out):
         out[0, j], out[1, j], out[2, j], out[3, j] = values[r, c], values[r, right], values[below, c], values[below, right]
 
 
-@compiled
+@internal
 def _between(north_west, north_east, south_west, south_east, down, across, out):
     """Between four cells; what a place is not beyond plays no part, though it be missing."""
     for j in range(out.size):
