@@ -35,7 +35,7 @@ test('the poll is fast at the start, slow in the background, backs off, and ends
   assert.deepEqual([1, 2, 3, 4, 50].map((failures) => pauseAfter({ phase: 'unreachable', preparing: null }, failures)), [1000, 2000, 4000, 8000, 8000]);
 });
 
-test('who waits for readiness goes on with it, or is aborted', async (context) => {
+test('who waits for readiness goes on with it, or is aborted', { timeout: 10_000 }, async (context) => {
   const answers = [[503, { preparing: TILES }], [200, { preparing: null }]];
   const { mock } = context.mock.method(globalThis, 'fetch', async () => {
     const [status, body] = answers.shift() ?? [200, null];
