@@ -18,5 +18,5 @@ export default defineConfig({
     },
   },
   // `npm run dev` beside a running service.
-  server: { proxy: { '/levels': 'http://127.0.0.1:8000' } },
+  server: { proxy: Object.fromEntries(['/levels', '/readyz', '/openapi.json'].map((path) => [path, 'http://127.0.0.1:8000'])) },
 });

@@ -98,6 +98,10 @@ class Viewer(WatchedPage):
         super().__init__(page, [self.address])
         self._bounds: list[float] = next(level["bounds"] for level in client.get("/levels").json() if level["name"] == LEVEL)
 
+    def hide_preparations(self) -> None:
+        """Tell the page that nothing is left to prepare: what the service compiles in the background has a line of its own."""
+        self.page.route(re.compile("/readyz$"), lambda route: route.fulfill(json={"status": "ready", "preparing": None}))
+
     def open(self, fragment: str = "") -> Shown:
         """Open the page, of an address's part after ``#``, and wait for its map."""
         self.page.goto(f"{self.address}/{fragment}")

@@ -27,6 +27,7 @@ PAGES = {
 def test_it_looks_as_it_did(make_viewer: Callable[..., Viewer], request: pytest.FixtureRequest, name: str):
     window, fragment = PAGES[name]
     viewer = make_viewer(viewport=WINDOW, reduced_motion="reduce") if not window else make_viewer(reduced_motion="reduce", **window)
+    viewer.hide_preparations()
     viewer.page.goto(f"{viewer.address}/{fragment}")
     viewer.settled()
     if not fragment:

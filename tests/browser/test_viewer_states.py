@@ -43,6 +43,7 @@ def test_a_slow_service(viewer: Viewer):
     """A line runs along the top; after a while words say so; both go when all is there."""
     waiting: list[Route] = []
     slow = [True]
+    viewer.hide_preparations()
     viewer.page.route(re.compile("/tiles/"), lambda route: waiting.append(route) if slow else route.continue_())
     viewer.page.goto(viewer.address)
     expect(viewer.page.locator("body.working")).to_be_attached()

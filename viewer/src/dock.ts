@@ -16,6 +16,8 @@ export interface Dock {
   /** Says where the sun stands, as the service has it; null: not known. */
   showSun(sun: SunAngles | null): void;
   showPlaying(plays: boolean): void;
+  /** Whether the day can be played: before the service draws, it cannot. */
+  allowPlaying(allowed: boolean): void;
   /** How far pictures of the day are there; null: nothing is waited for. */
   showWaiting(share: number | null): void;
 }
@@ -24,6 +26,7 @@ export function makeDock(container: HTMLElement, store: Store, onPlay: () => voi
   const height = new HeightDial();
   const sky = new SkyDial();
   let day: SunDay | null = null;
+  let canPlay: boolean | null = null;
 
   // --- the parts ----------------------------------------------------------------------------------------------------
 
@@ -93,7 +96,8 @@ export function makeDock(container: HTMLElement, store: Store, onPlay: () => voi
     container.classList.toggle('whole-day', state.layer === 'sunhours');
     byTime.hidden = !byMoment;
     byAngles.hidden = byMoment;
-    minutes.disabled = clock.disabled = play.disabled = state.layer === 'sunhours';
+    minutes.disabled = clock.disabled = state.layer === 'sunhours';
+    play.disabled = !canPlay || state.layer === 'sunhours';
     direction.hidden = state.layer === 'sunhours';
     direction.textContent = byMoment ? 'By direction' : 'By date and time';
     if (document.activeElement !== clock) clock.value = clockText(state.minutes);
@@ -115,6 +119,7 @@ export function makeDock(container: HTMLElement, store: Store, onPlay: () => voi
   }
 
   height.show(null);
+  sky.move(null);
 
   function mark(name: string, at: number | null): HTMLElement | null {
     if (at === null) return null;
@@ -143,6 +148,12 @@ export function makeDock(container: HTMLElement, store: Store, onPlay: () => voi
       play.setAttribute('aria-pressed', String(plays));
       play.setAttribute('aria-label', plays ? 'Pause the day' : 'Play the day');
       container.classList.toggle('playing', plays);
+    },
+    allowPlaying(allowed) {
+      if (allowed === canPlay) return;
+      canPlay = allowed;
+      refresh(store.state);
+      if (!day) marks.replaceChildren(allowed ? '' : html('span', { class: 'note' }, 'Sunrise and sunset come with the map.'));
     },
     showWaiting(share) {
       container.classList.toggle('fetching', share !== null);

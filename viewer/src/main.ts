@@ -9,9 +9,11 @@ import { LevelMap } from './map';
 import { noonToday, parseMoment } from './moments';
 import { Player } from './player';
 import { pictureQuery, sunQuery } from './query';
-import { type Level, type PlacedLevel, Service, inWords, isAbort, isPlaced } from './service';
+import type { Readiness } from './readiness';
+import { type Level, type PlacedLevel, type Query, Service, inWords, isAbort, isPlaced } from './service';
 import { makeSide } from './side';
 import { FIRST_STATE, type State, Store } from './state';
+import { StartCard, noteOf } from './start_card';
 import { Status } from './status';
 import { type SunDay, fetchSunDay } from './sun_day';
 import { keepTheme } from './theme';
@@ -27,6 +29,9 @@ const TERRAIN = 'terrain-rgb';
 const store = new Store({ ...FIRST_STATE, ...readAddress(location.hash) });
 const service = new Service();
 const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
+
+/** Says something in a line to everybody, screen readers included. */
+const announce = (words: string) => { byId('said').textContent = words; };
 
 class Page {
   readonly #status = new Status(() => { this.#tiles.reset(); this.#draw(); this.#learnDay(); });
@@ -47,6 +52,10 @@ class Page {
       if (!plays) this.#draw();
     },
   });
+  readonly #start = new StartCard(byId('start'), announce);
+  /** Whether the service can draw now, and whether it could before. */
+  #ready = false;
+  #wasReady = false;
   #levels: readonly Level[] = [];
   #level!: PlacedLevel;
   #day: SunDay | null = null;
@@ -55,14 +64,23 @@ class Page {
   #learning = new AbortController();
   #timers: Record<'draw' | 'write', ReturnType<typeof setTimeout> | undefined> = { draw: undefined, write: undefined };
 
+  constructor() {
+    service.readiness.watch((readiness) => this.#follow(readiness));
+    // What lies beside the dock has to know how high it is.
+    new ResizeObserver(([entry]) => {
+      document.documentElement.style.setProperty('--dock', `${entry?.target.clientHeight ?? 0}px`);
+    }).observe(byId('sun'));
+  }
+
   /** Reads the levels and begins; where that fails, says so with a way to try again. */
   async start(asked = service.levels()): Promise<void> {
     const slow = setTimeout(() => veil('Asking the service for its levels …'), 600);
     keepTheme(store, (ground) => this.#shown.map.isStyleLoaded() && this.#shown.paintGround(ground));
     const styled = this.#shown.map.isStyleLoaded() ? Promise.resolve() : this.#shown.map.once('style.load');
     try {
-      this.#levels = await asked;
       await styled;
+      this.#shown.paintGround(getComputedStyle(document.documentElement).getPropertyValue('--ground').trim());
+      this.#levels = await asked;
     } catch (error) {
       veil(`${inWords(error)} There is nothing to show before it does.`, { words: 'Try again', go: () => { veil(null); void this.start(); } }, true);
       return;
@@ -70,7 +88,6 @@ class Page {
       clearTimeout(slow);
     }
     veil(null);
-    this.#shown.paintGround(getComputedStyle(document.documentElement).getPropertyValue('--ground').trim());
     const placed = this.#levels.filter(isPlaced);
     if (!placed[0]) {
       veil(this.#levels.length ? 'No level here has a place on the earth, so there is no map to show.' : 'The service has no levels.', undefined, true);
@@ -83,13 +100,26 @@ class Page {
     this.#open(readAddress(location.hash));
     makeSide((open) => ({
       store, service, open, map: this.#shown.map, levels: this.#levels, level: () => this.#level,
-      announce: (words) => { byId('said').textContent = words; },
+      announce,
     }));
     this.#listen();
-    // What lies beside the dock has to know how high it is.
-    new ResizeObserver(([entry]) => {
-      document.documentElement.style.setProperty('--dock', `${entry?.target.clientHeight ?? 0}px`);
-    }).observe(byId('sun'));
+  }
+
+  /** Shows how far the service is; once it can draw, the map begins by itself, also after the service was away. */
+  #follow(readiness: Readiness): void {
+    const { phase } = readiness;
+    const begins = phase === 'ready' && !this.#ready;
+    this.#ready = phase === 'ready';
+    this.#wasReady ||= this.#ready;
+    this.#dock.allowPlaying(this.#wasReady);
+    if (!this.#wasReady) this.#start.show(readiness);
+    else if (this.#start.isShown) {
+      this.#start.hide();
+      announce('The service is ready. The map is being drawn.');
+    }
+    this.#status.note(this.#wasReady ? noteOf(readiness) : null);
+    // Before the level is known, `#listen` draws it.
+    if (begins && this.#level) this.#drawSoon();
   }
 
   // --- levels and places ----------------------------------------------------------------------------------------------
@@ -168,8 +198,7 @@ class Page {
       delete document.body.dataset.shown; // what is drawn is no longer what is asked for
       // Somebody moves the sun, or wants another layer: the day stops.
       if (this.#player.plays) this.#player.stop();
-      clearTimeout(this.#timers.draw);
-      this.#timers.draw = setTimeout(() => this.#draw(), CALM_MS);
+      this.#drawSoon();
     });
     store.watch(({ level, date, offset }) => [level, date, offset], () => this.#learnDay());
     store.watch(writeAddress, () => {
@@ -189,6 +218,11 @@ class Page {
     });
   }
 
+  #drawSoon(): void {
+    clearTimeout(this.#timers.draw);
+    this.#timers.draw = setTimeout(() => this.#draw(), CALM_MS);
+  }
+
   /** Asks for the tiles of the present state and shows them; where the sun stands is asked for beside them. */
   #draw(): void {
     if (this.#player.plays) return;
@@ -197,21 +231,11 @@ class Page {
     delete document.body.dataset.shown;
     this.#tiles.reset();
     this.#status.clear();
-    this.#shown.showLayer(this.#level.name, {
-      attribution: this.#level.attribution, bounds: this.#level.bounds,
-      minzoom: this.#level.minzoom, maxzoom: this.#level.maxzoom, tiles: [service.tiles(this.#level.name, query)],
-    });
-    this.#shown.setOpacity(state.opacity);
     this.#asking.abort();
     this.#asking = new AbortController();
     const { signal } = this.#asking;
-    void this.#shown.map.once('idle').then(() => {
-      if (signal.aborted) return;
-      // The day's last picture lay above until the map below had its own.
-      this.#player.clear();
-      // Whoever drives the page by a program can read off what is drawn.
-      document.body.dataset.shown = JSON.stringify(query);
-    });
+    // Before that tiles would wait in the map's own queue, and those of a base map behind them.
+    if (this.#ready) this.#showPicture(query, signal);
     const sun = state.layer === 'sunhours' ? sunQuery(state) : query;
     service.tileJson(this.#level.name, sun, signal).then(
       ({ skugga }) => this.#dock.showSun(skugga.sun),
@@ -219,6 +243,21 @@ class Page {
         if (!isAbort(error)) this.#status.fail(inWords(error));
       },
     );
+  }
+
+  #showPicture(query: Query, signal: AbortSignal): void {
+    this.#shown.showLayer(this.#level.name, {
+      attribution: this.#level.attribution, bounds: this.#level.bounds,
+      minzoom: this.#level.minzoom, maxzoom: this.#level.maxzoom, tiles: [service.tiles(this.#level.name, query)],
+    });
+    this.#shown.setOpacity(store.state.opacity);
+    void this.#shown.map.once('idle').then(() => {
+      if (signal.aborted) return;
+      // The day's last picture lay above until the map below had its own.
+      this.#player.clear();
+      // Whoever drives the page by a program can read off what is drawn.
+      document.body.dataset.shown = JSON.stringify(query);
+    });
   }
 
   async #learnDay(): Promise<void> {
@@ -249,6 +288,7 @@ class Page {
 }
 
 // Asked for before the map is made, which takes a while.
+void service.readiness.check();
 const asked = service.levels();
 asked.catch(() => {}); // told of where it is awaited
 try {

@@ -1,5 +1,7 @@
 /** Talks to the service. Every failure becomes an Error whose message can be read to a person. */
 
+import { GATEWAY_ERRORS, ReadinessPoll } from './readiness';
+
 const BUSY = 503;
 const ATTEMPTS = 6;
 
@@ -71,6 +73,11 @@ export interface TileJson {
 
 export type Query = Readonly<Record<string, string | number | null | undefined>>;
 
+/** `early`: answered without anything drawn, so also before the service can draw. All other requests wait for that. */
+export interface ServiceInit extends RequestInit {
+  readonly early?: boolean;
+}
+
 /** What keeps a request from its answer; `status` is that of HTTP, or null where there was no answer at all. */
 export class ServiceError extends Error {
   constructor(message: string, readonly status: number | null) {
@@ -88,6 +95,8 @@ export function inWords(error: unknown): string {
 }
 
 export class Service {
+  readonly readiness = new ReadinessPoll(this.address('readyz'));
+
   /** The address of a path of the service, which may be mounted under a prefix. Null and undefined are left out of the query. */
   address(path: string, query: Query = {}): string {
     const url = new URL(path, document.baseURI);
@@ -110,15 +119,15 @@ export class Service {
   }
 
   async levels(signal?: AbortSignal): Promise<Level[]> {
-    return this.json<Level[]>(this.address('levels'), signal);
+    return this.json<Level[]>(this.address('levels'), signal, { early: true });
   }
 
   async tileJson(level: string, query: Query, signal?: AbortSignal): Promise<TileJson> {
-    return this.json<TileJson>(this.of(level, `${TILE_MATRIX_SET}/tilejson.json`, query), signal);
+    return this.json<TileJson>(this.of(level, `${TILE_MATRIX_SET}/tilejson.json`, query), signal, { early: true });
   }
 
   /** The answer as JSON; `init` for another method than GET. Throws as `request` does. */
-  async json<Answer>(address: string, signal?: AbortSignal, init: RequestInit = {}): Promise<Answer> {
+  async json<Answer>(address: string, signal?: AbortSignal, init: ServiceInit = {}): Promise<Answer> {
     const response = await this.request(address, { ...init, signal });
     try {
       return (await response.json()) as Answer;
@@ -129,19 +138,29 @@ export class Service {
   }
 
   /**
-   * Fetches, waiting and asking again while the service says that it is busy.
+   * Fetches as soon as the service can answer; asks again while it says that it is busy, and after it was away.
    * Throws a `ServiceError` in words; an abort is passed on as it is.
    */
-  async request(address: string, init: RequestInit = {}): Promise<Response> {
+  async request(address: string, { early = false, ...init }: ServiceInit = {}): Promise<Response> {
     for (let attempt = 1; ; attempt += 1) {
-      let response: Response;
+      // Drawn before the service is ready, six pictures would hold all of the browser's connections.
+      if (!early) await this.readiness.until(['ready'], init.signal);
+      let response: Response | null = null;
       try {
         response = await fetch(address, init);
       } catch (error) {
         if (isAbort(error)) throw error;
-        throw new ServiceError('The service does not answer.', null);
       }
-      if (response.ok) return response;
+      if (response?.ok) return response;
+      if (!response || GATEWAY_ERRORS.has(response.status)) {
+        const { phase } = await this.readiness.check();
+        if (phase === 'ready' || attempt === ATTEMPTS) {
+          throw new ServiceError(response ? await problem(response) : 'The service does not answer.', response?.status ?? null);
+        }
+        if (phase === 'starting') await pause(1000, init.signal);
+        else await this.readiness.until(['starting', 'ready'], init.signal);
+        continue;
+      }
       if (response.status !== BUSY || attempt === ATTEMPTS) throw new ServiceError(await problem(response), response.status);
       await pause(1000 * (Number(response.headers.get('Retry-After')) || attempt), init.signal);
     }

@@ -7,10 +7,22 @@ import type { Progress } from './tiles';
 const SLOW_MS = 5000;
 const SHOWN_AFTER_MS = 250;
 
+/** What the service does. The count changes often: screen readers leave it out. */
+export interface Note {
+  readonly words: string;
+  readonly count: string;
+  /** Whether the map is drawn meanwhile. */
+  readonly quiet: boolean;
+}
+
 export class Status {
   readonly #box = byId('status');
   readonly #words = byId('status-words');
+  readonly #count = byId('status-count');
   readonly #again = byId<HTMLButtonElement>('again');
+  #failure = '';
+  #slow = false;
+  #note: Note | null = null;
   #busy = false;
   #timers: ReturnType<typeof setTimeout>[] = [];
 
@@ -27,12 +39,21 @@ export class Status {
   }
 
   fail(words: string): void {
-    this.#say(words, true);
+    this.#failure = words;
+    this.#refresh();
   }
 
-  /** Takes back what was said. */
+  /** Says what the service does, unless something has failed; null: nothing. */
+  note(note: Note | null): void {
+    this.#note = note;
+    this.#refresh();
+  }
+
+  /** Takes back what was said of tiles. */
   clear(): void {
-    this.#say('', false);
+    this.#failure = '';
+    this.#slow = false;
+    this.#refresh();
   }
 
   #work(busy: boolean): void {
@@ -41,23 +62,31 @@ export class Status {
     document.body.dataset.busy = String(busy);
     this.#timers.forEach(clearTimeout);
     this.#timers = [];
-    if (!busy) {
+    this.#slow = false;
+    if (busy) {
+      this.#timers.push(
+        setTimeout(() => document.body.classList.add('working'), SHOWN_AFTER_MS),
+        setTimeout(() => {
+          this.#slow = true;
+          this.#refresh();
+        }, SLOW_MS),
+      );
+    } else {
       document.body.classList.remove('working');
-      if (!this.#box.classList.contains('failed')) this.clear();
-      return;
     }
-    this.#timers.push(
-      setTimeout(() => document.body.classList.add('working'), SHOWN_AFTER_MS),
-      setTimeout(() => {
-        if (!this.#box.classList.contains('failed')) this.#say('Still drawing. What nobody has looked at before takes a while.', false);
-      }, SLOW_MS),
-    );
+    this.#refresh();
   }
 
-  #say(words: string, failed: boolean): void {
+  #refresh(): void {
+    const note = this.#note;
+    const slow = this.#slow && (note?.quiet ?? true) && `Still drawing. ${note?.words ?? 'What nobody has looked at before takes a while.'}`;
+    const words = this.#failure || slow || note?.words || '';
+    const count = !this.#failure && note?.count;
     this.#box.hidden = !words;
-    this.#box.classList.toggle('failed', failed && Boolean(words));
+    this.#box.classList.toggle('failed', Boolean(this.#failure));
+    this.#box.classList.toggle('quiet', !this.#failure && !slow && note?.quiet === true);
     if (this.#words.textContent !== words) this.#words.textContent = words;
-    this.#again.hidden = !failed;
+    this.#count.textContent = count ? `: ${count}` : '';
+    this.#again.hidden = !this.#failure;
   }
 }

@@ -36,6 +36,7 @@ export class Tiles {
       this.#kept.set(address, kept);
       return kept.slice(0);
     }
+    await this.#service.readiness.until(['ready'], signal);
     if (!quiet) this.#change({ waiting: this.#progress.waiting + 1 });
     try {
       const response = await this.#service.request(address, { signal });

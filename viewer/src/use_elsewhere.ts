@@ -43,7 +43,7 @@ export function mountUseElsewhere(container: HTMLElement, { store, service, leve
       loading.abort();
       loading = new AbortController();
       try {
-        show(await service.json<ClientLines[]>(service.of(level().name, 'lines.json', query), loading.signal));
+        show(await service.json<ClientLines[]>(service.of(level().name, 'lines.json', query), loading.signal, { early: true }));
       } catch (error) {
         if (!isAbort(error)) lists.replaceChildren(html('p', { class: 'fail' }, inWords(error)));
       }

@@ -35,7 +35,7 @@ let asked: Promise<readonly Setting[]> | null = null;
 
 /** All settings; asked for once. Throws as `Service.json` does. */
 export async function shadowSettings(service: Service, signal: AbortSignal): Promise<readonly Setting[]> {
-  asked ??= service.json<OpenApi>(service.address('openapi.json'), signal).then(settingsIn);
+  asked ??= service.json<OpenApi>(service.address('openapi.json'), signal, { early: true }).then(settingsIn);
   try {
     return await asked;
   } catch (error) {

@@ -1,0 +1,349 @@
+"""The viewer before the service can draw: what it says and asks, and how it comes alive; ``/readyz`` is the test's own."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, Route, expect
+
+from tests.browser.conftest import LEVEL, Viewer
+from tests.browser.test_viewer_access import PHONE, faults
+
+TILES = "compiling loops for map tiles"
+HOURS = "compiling loops for hours of sun"
+
+UNDRAWN = re.compile(r"^/($|assets/|levels$|readyz$|openapi\.json$|levels/[^/]+/(lines\.json|WebMercatorQuad/tilejson\.json)\?)")
+"""Paths that are answered without anything drawn."""
+
+EVENING = f"level={LEVEL}&time=2024-10-21T16:20:00-04:00"
+
+
+class ServiceReadiness:
+    """What ``/readyz`` answers to a page, and when it was asked."""
+
+    def __init__(self, page: Page) -> None:
+        self.times: list[float] = []
+        self._reply: dict[str, Any] | None = None
+        page.route(re.compile("/readyz$"), self._answer)
+
+    def starting(self, task: str | None = None, done: int = 0, total: int = 0) -> None:
+        """Nothing can be drawn yet."""
+        problem = {"type": "about:blank", "title": "Service Unavailable", "status": 503, "detail": "No render process is ready."}
+        body = problem | {"preparing": _preparing(task, done, total)}
+        self._reply = {"status": 503, "content_type": "application/problem+json", "json": body}
+
+    def ready(self, task: str | None = None, done: int = 0, total: int = 0) -> None:
+        """Tiles can be drawn; what is left is prepared in the background."""
+        self._reply = {"status": 200, "json": {"status": "ready", "preparing": _preparing(task, done, total)}}
+
+    def hidden(self) -> None:
+        """A proxy does not pass the address on."""
+        self._reply = {"status": 404, "body": "not here"}
+
+    def unreachable(self) -> None:
+        """Nobody answers."""
+        self._reply = None
+
+    def _answer(self, route: Route) -> None:
+        self.times.append(time.monotonic())
+        if self._reply is None:
+            route.abort("connectionrefused")
+        else:
+            route.fulfill(**self._reply)
+
+
+def _preparing(task: str | None, done: int, total: int) -> dict[str, Any] | None:
+    return None if task is None else {"task": task, "done": done, "total": total}
+
+
+@pytest.fixture
+def readiness(viewer: Viewer) -> ServiceReadiness:
+    """The readiness that the viewer is told of; nothing can be drawn at first."""
+    return _readiness_of(viewer)
+
+
+def _readiness_of(viewer: Viewer) -> ServiceReadiness:
+    viewer.forgiven = re.compile("503|404|ERR_CONNECTION_REFUSED")
+    readiness = ServiceReadiness(viewer.page)
+    readiness.starting()
+    return readiness
+
+
+def drawn_requests(viewer: Viewer) -> list[str]:
+    """What the page has asked for that has to be drawn."""
+    paths = [asked.removeprefix(viewer.address) for asked in viewer.asked]
+    return [path for path in paths if not UNDRAWN.match(path)]
+
+
+@contextmanager
+def same_page(viewer: Viewer) -> Iterator[None]:
+    """The page is not loaded again meanwhile."""
+    viewer.page.evaluate("() => { window.isSame = true; }")
+    yield
+    assert viewer.page.evaluate("() => window.isSame === true")
+
+
+def boxes(page: Page) -> dict[str, Any]:
+    """Where the parts of the page lie that stay."""
+    parts = ("#side", "#sun", ".maplibregl-ctrl-top-right", "#minutes", "#days")
+    return {part: page.locator(part).bounding_box() for part in parts}
+
+
+def test_card_shows_the_progress(viewer: Viewer, readiness: ServiceReadiness):
+    """In words, as a bar, and for screen readers."""
+    viewer.page.goto(viewer.address)
+    card, bar = viewer.page.locator("#start"), viewer.page.get_by_role("progressbar")
+    expect(card).to_contain_text("The service is starting")
+    expect(bar).to_have_attribute("aria-label", "Waiting for a render process")
+    expect(bar).not_to_have_attribute("aria-valuenow", re.compile(""))
+
+    readiness.starting("starting a render process")
+    expect(bar).to_have_attribute("aria-label", "Starting a render process")
+
+    readiness.starting(TILES, 57, 180)
+    expect(card.get_by_role("heading")).to_have_text("First start")
+    expect(card).to_contain_text("Compiling, once for this installation.")
+    expect(card).to_contain_text("Compiling loops for map tiles")
+    expect(card).to_contain_text("57 of 180")
+    expect(card).to_contain_text(re.compile(r"\d+ s so far$"))
+    for name, value in {"valuemin": "0", "valuemax": "180", "valuenow": "57", "valuetext": "57 of 180"}.items():
+        expect(bar).to_have_attribute(f"aria-{name}", value)
+    spoken = viewer.page.locator("#said")
+    expect(spoken).to_have_role("status")
+    expect(spoken).to_have_text(re.compile("^First start. Compiling loops for map tiles."))
+    viewer.page.wait_for_timeout(500)  # the bar moves there
+    filled, whole = bar.locator("span").bounding_box(), bar.bounding_box()
+    assert filled is not None and whole is not None
+    assert (filled["x"] + filled["width"] - whole["x"]) / whole["width"] == pytest.approx(57 / 180, abs=0.01)
+
+
+def test_card_tells_the_time_left(viewer: Viewer, readiness: ServiceReadiness):
+    """As soon as enough progress has been seen, and not before."""
+    viewer.page.goto(viewer.address)
+    card = viewer.page.locator("#start")
+    begin = time.monotonic()
+    while (seconds := time.monotonic() - begin) < 8:
+        readiness.starting(TILES, 20 + int(5 * seconds), 180)
+        assert seconds > 4 or "left" not in card.inner_text()
+        viewer.page.wait_for_timeout(200)
+    expect(card).to_contain_text(re.compile(r"\d+ s so far, about (20|25|30) s left$"))
+
+
+def test_nothing_is_drawn_before_readiness(viewer: Viewer, readiness: ServiceReadiness):
+    """Whatever is used meanwhile, and whatever the address asks for; once the service is ready, all of it comes."""
+    viewer.page.goto(f"{viewer.address}/#{EVENING}&layer=shadow")
+    page, card = viewer.page, viewer.page.locator("#start")
+    expect(card).to_be_visible()
+    expect(page.locator("#sun-words")).to_contain_text("high")
+    page.get_by_label("Level", exact=True).select_option(LEVEL)
+    expect(page.locator("#clock")).to_have_value("17:45")  # the level's own
+    page.evaluate("hash => { location.hash = hash; }", f"{EVENING}&point=-84.25,36.3&panel=point&solid=1&compare=time:09:30")
+    expect(page.locator("#clock")).to_have_value("16:20")
+    for panel in ("Views", "Compare", "Why", "Use", "Point"):
+        page.get_by_role("tab", name=panel).click()
+        page.wait_for_timeout(700)
+    expect(page.get_by_role("button", name="Play the day")).to_be_disabled()
+    page.evaluate("() => document.activeElement.blur()")
+    page.keyboard.press("Space")
+    page.get_by_role("button", name="Ask at the middle of the map").click()
+    page.locator(".maplibregl-ctrl-zoom-in").click()
+    page.get_by_label("Time", exact=True).fill("15:10")
+    page.wait_for_timeout(1000)
+    assert not drawn_requests(viewer)
+    expect(card).to_be_visible()
+    expect(page.locator("#status")).to_be_hidden()
+    expect(page.locator("body.working")).not_to_be_attached()
+
+    with same_page(viewer):
+        readiness.ready()
+        expect(card).to_be_hidden()
+        viewer.settled()
+    paths = drawn_requests(viewer)
+    assert any("/tiles/" in path for path in paths)
+    times = {path.partition("time=2024-10-21T")[2][:7] for path in paths if "/tiles/" in path and "terrain-rgb" not in path}
+    assert times == {"15%3A10", "09%3A30"}, "what the page was set to at last, and what it is compared with"
+    assert any("/point?" in path for path in paths)
+
+
+def test_map_appears_by_itself(viewer: Viewer, readiness: ServiceReadiness):
+    """It shows the place, the layer and the time that the address asks for."""
+    readiness.starting(TILES, 170, 180)
+    viewer.page.goto(f"{viewer.address}/#{EVENING}&layer=shadow&map=10.10/36.29500/-84.24500")
+    expect(viewer.page.locator("#start")).to_be_visible()
+    viewer.page.wait_for_timeout(1000)
+    assert not drawn_requests(viewer)
+    expect(viewer.page.locator(".marks")).to_have_text("Sunrise and sunset come with the map.")
+    before = boxes(viewer.page)
+    with same_page(viewer):
+        readiness.ready()
+        expect(viewer.page.locator("#start")).to_be_hidden()
+        shown = viewer.shown()
+    assert shown.queries == {(("layer", "shadow"), ("time", "2024-10-21T16:20:00-04:00"))}
+    assert len(np.unique(shown.pixels.reshape(-1, 3), axis=0)) > 20
+    assert "map=10.10/36.29500/-84.24500" in viewer.page.url
+    expect(viewer.page.get_by_role("button", name="Sunset")).to_be_visible()
+    expect(viewer.page.get_by_role("button", name="Play the day")).to_be_enabled()
+    expect(viewer.page.locator("#said")).to_have_text("The service is ready. The map is being drawn.")
+    assert boxes(viewer.page) == before, "nothing moves"
+
+
+def test_background_work_is_one_line(viewer: Viewer, readiness: ServiceReadiness):
+    """It comes and goes beside a map that is drawn; then nothing more is asked."""
+    readiness.ready(HOURS, 57, 180)
+    viewer.open(f"#{EVENING}")
+    status = viewer.page.locator("#status")
+    expect(status).to_have_text(re.compile("^Preparing hours of sun: 57 of 180"))
+    expect(viewer.page.locator("#status-words")).to_have_text("Preparing hours of sun")
+    expect(viewer.page.locator("#start")).to_be_hidden()
+    expect(status.get_by_role("button")).to_be_hidden()
+    readiness.ready("preparing level valley", 2, 3)
+    expect(status).to_have_text(re.compile("^Preparing level valley: 2 of 3"))
+    readiness.ready()
+    expect(status).to_be_hidden()
+    asked = len(readiness.times)
+    viewer.page.wait_for_timeout(3000)
+    assert len(readiness.times) == asked
+
+
+def test_slow_tiles_say_what_is_prepared(viewer: Viewer, readiness: ServiceReadiness):
+    waiting: list[Route] = []
+    readiness.ready(HOURS, 57, 180)
+    viewer.page.route(re.compile("/tiles/"), lambda route: waiting.append(route))
+    viewer.page.goto(viewer.address)
+    expect(viewer.page.locator("#status")).to_contain_text("Still drawing. Preparing hours of sun: 57 of 180")
+    readiness.ready()
+    expect(viewer.page.locator("#status")).to_contain_text("Still drawing. What nobody has looked at")
+    viewer.page.unroute(re.compile("/tiles/"))
+    for route in waiting:
+        route.continue_()
+    viewer.shown()
+
+
+def test_polls_are_polite(viewer: Viewer, readiness: ServiceReadiness):
+    """Twice a second before the map, every other second beside it, ever more seldom where nobody answers."""
+    viewer.page.goto(viewer.address)
+
+    def gaps(least: int) -> np.ndarray:
+        viewer.page.wait_for_timeout(1000)
+        readiness.times.clear()
+        while len(readiness.times) < least + 1:
+            viewer.page.wait_for_timeout(50)
+        return np.diff(readiness.times)
+
+    assert gaps(4).min() > 0.4
+    readiness.unreachable()
+    away = gaps(2)
+    assert away[0] > 1.8 and away[1] > 3.8
+    readiness.ready(HOURS, 1, 9)
+    expect(viewer.page.locator("#status")).to_contain_text("Preparing hours of sun: 1 of 9")
+    assert gaps(1)[0] > 1.9
+
+
+def test_unreachable_service_is_asked_again(viewer: Viewer, readiness: ServiceReadiness):
+    """Also where it does not even tell its levels."""
+    viewer.page.route(re.compile("/levels$"), lambda route: route.abort("connectionrefused"))
+    readiness.unreachable()
+    viewer.page.goto(f"{viewer.address}/#{EVENING}")
+    card = viewer.page.locator("#start")
+    expect(card).to_contain_text("The service does not answer")
+    expect(card).to_contain_text("This page keeps trying")
+    expect(viewer.page.get_by_role("progressbar")).not_to_have_attribute("aria-valuenow", re.compile(""))
+    assert not drawn_requests(viewer)
+    with same_page(viewer):
+        viewer.page.unroute(re.compile("/levels$"))
+        readiness.starting(TILES, 3, 180)
+        expect(card).to_contain_text("3 of 180")
+        expect(viewer.page.get_by_label("Level", exact=True)).to_have_value(LEVEL)
+        readiness.ready()
+        expect(card).to_be_hidden()
+        assert viewer.shown().queries == {(("time", "2024-10-21T16:20:00-04:00"),)}
+
+
+def test_restart_is_survived(viewer: Viewer, readiness: ServiceReadiness):
+    """The map stays, a line says what is wrong, and what was asked meanwhile is drawn afterwards."""
+    readiness.ready()
+    viewer.open(f"#{EVENING}")
+    everything_else = re.compile("/levels")
+    viewer.page.route(everything_else, lambda route: route.abort("connectionrefused"))
+    readiness.unreachable()
+    viewer.page.get_by_label("Time", exact=True).fill("09:30")
+    status = viewer.page.locator("#status")
+    expect(status).to_contain_text("The service does not answer. Trying again")
+    expect(viewer.page.locator("#start")).to_be_hidden()
+    viewer.page.wait_for_timeout(2500)
+    expect(viewer.page.locator("#status.failed")).to_be_hidden()
+
+    viewer.page.unroute(everything_else)
+    viewer.asked.clear()
+    readiness.starting("starting a render process")
+    expect(status).to_contain_text("The service is starting")
+    viewer.page.wait_for_timeout(1500)
+    assert not drawn_requests(viewer)
+    with same_page(viewer):
+        readiness.ready()
+        expect(status).to_be_hidden()
+        morning = viewer.shown()
+    assert (("time", "2024-10-21T09:30:00-04:00"),) in morning.queries
+    expect(viewer.page.locator("#sun-words")).to_contain_text("119.1°")
+
+
+def test_proxy_that_hides_readiness_is_no_obstacle(viewer: Viewer, readiness: ServiceReadiness):
+    readiness.hidden()
+    assert viewer.open(f"#{EVENING}").queries
+    assert len(readiness.times) == 1
+
+
+def test_ready_service_shows_no_card(viewer: Viewer, readiness: ServiceReadiness):
+    """Not even for a moment; it is asked once."""
+    viewer.page.add_init_script("""
+      new MutationObserver(() => {
+        if (document.querySelector('#start:not([hidden])')) window.hasFlashed = true;
+      }).observe(document, {subtree: true, childList: true, attributes: true});
+    """)
+    readiness.ready()
+    viewer.open(f"#{EVENING}")
+    assert len(readiness.times) == 1
+    assert not viewer.page.evaluate("() => window.hasFlashed")
+    with viewer.page.expect_request(re.compile("/readyz$")):
+        readiness.starting()
+        viewer.page.reload()
+    expect(viewer.page.locator("#start")).to_be_visible()
+    assert viewer.page.evaluate("() => window.hasFlashed"), "the watch is not blind"
+
+
+@pytest.mark.parametrize("window", [{}, {"color_scheme": "dark"}, PHONE], ids=["light", "dark", "phone"])
+def test_card_can_be_read_by_all(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
+    """Nothing grave is found by axe; the card lies free of the dock and of the map's buttons."""
+    viewer = make_viewer(**window)
+    readiness = _readiness_of(viewer)
+    readiness.starting(TILES, 57, 180)
+    viewer.page.goto(viewer.address)
+    card = viewer.page.locator("#start .card")
+    expect(card).to_contain_text("57 of 180")
+    expect(viewer.page.locator("#sun-words")).to_contain_text("high")
+    assert not faults(viewer.page)
+    heights = set()
+    for task, total in ((None, 0), ("starting a render process", 0), (TILES, 180)):
+        asked = len(readiness.times)
+        if task is None:
+            readiness.unreachable()
+        else:
+            readiness.starting(task, total // 20, total)
+        while len(readiness.times) < asked + 2:
+            viewer.page.wait_for_timeout(100)
+        box = card.bounding_box()
+        assert box is not None
+        heights.add(box["height"])
+        for part in ("#sun", "#side", ".maplibregl-ctrl-top-right .maplibregl-ctrl-group"):
+            other = viewer.page.locator(part).bounding_box()
+            assert other is not None
+            apart_x = box["x"] >= other["x"] + other["width"] or other["x"] >= box["x"] + box["width"]
+            apart_y = box["y"] >= other["y"] + other["height"] or other["y"] >= box["y"] + box["height"]
+            assert apart_x or apart_y, part
+    assert len(heights) == 1, "its height stays"
