@@ -91,8 +91,13 @@ def _command(*words: object) -> None:
         assert not end.code, words
 
 
+def _sun(raster: Path) -> list[object]:
+    """Options of a command that say where the sun is; a flat world knows no time."""
+    return ["--azimuth", 237, "--altitude", 12] if raster.stem == "flat" else ["--time", TIME]
+
+
 def maps(rasters: Sequence[Path], folder: Path) -> None:
-    _draw(rasters, ["shadow", "mask", "visibility", "terrain-rgb"], suns=[(350.0, 35.0), (80.0, 5.0)])  # along columns and rows
+    _draw(rasters, ["shadow"], suns=[(350.0, 35.0), (80.0, 5.0)])  # along columns and rows
 
 
 def maps_of_casters(rasters: Sequence[Path], folder: Path) -> None:
@@ -102,9 +107,11 @@ def maps_of_casters(rasters: Sequence[Path], folder: Path) -> None:
 
 
 def pictures(rasters: Sequence[Path], folder: Path) -> None:
+    _draw(rasters, ["mask", "visibility", "terrain-rgb"])
     for raster in rasters:
-        sun = ["--azimuth", 237, "--altitude", 12] if raster.stem == "flat" else ["--time", TIME]
-        _command("render", raster, *sun, "--size", "600x600", "-o", folder / "out.png")
+        _command("render", raster, *_sun(raster), "--size", "600x600", "-o", folder / "out.png")
+        for layer in ("visibility", "shadow", "color", "cosi"):
+            _command("shade", raster, "--layer", layer, *_sun(raster), "-o", folder / "out.tif")
 
 
 def views(rasters: Sequence[Path], folder: Path) -> None:
@@ -120,9 +127,7 @@ def views(rasters: Sequence[Path], folder: Path) -> None:
 
 def masks(rasters: Sequence[Path], folder: Path) -> None:
     for raster in rasters:
-        sun = ["--azimuth", 237, "--altitude", 12] if raster.stem == "flat" else ["--time", TIME]
-        for layer in ("mask", "visibility", "shadow", "color", "cosi"):
-            _command("shade", raster, "--layer", layer, *sun, "-o", folder / "out.tif")
+        _command("shade", raster, *_sun(raster), "-o", folder / "out.tif")
 
 
 def sun_hours(rasters: Sequence[Path], folder: Path) -> None:

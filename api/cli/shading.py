@@ -13,7 +13,7 @@ from api.raster_file import RasterCells
 from api.shade import Bounds, raster_view, write_shade
 from api.shade_layers import SHADE_LAYERS
 from api.stac_item import read_stac_item
-from terrain.compiling.ahead import MAPS_OF_CASTERS, MASKS
+from terrain.compiling.ahead import MAPS_OF_CASTERS, MASKS, PICTURES
 from terrain.compiling.hooks import need
 from terrain.errors import InputError
 from terrain.gbuffer.covered_nodes import is_bare
@@ -42,7 +42,7 @@ def shade_level(
         raise InputError("--layer", layer, ", ".join(SHADE_LAYERS))
     paths = files_of(output, suns)
     check_targets(level, [("--output", path) for path in paths], like if isinstance(like, Path) else None)
-    need(MASKS)
+    need(MASKS if layer == "mask" else PICTURES)
     scene = build_scene(load_level(level))
     if not is_bare(scene):
         need(MAPS_OF_CASTERS)
