@@ -172,6 +172,7 @@ MAKERS: dict[str, Callable[[Sequence[Path], Path], None]] = {
 
 def record(product: str) -> list[tuple[str, Any]]:
     """Make a product in this process, whose store is empty; return the loops that were compiled, with their encoded types."""
+    from terrain.compiling.hooks import compile_when_called
     from terrain.compiling.loop_cache import recorders
     from terrain.compiling.signatures import decode_type, encode_type
 
@@ -186,6 +187,7 @@ def record(product: str) -> list[tuple[str, Any]]:
         found.append((f"{function.__module__}:{function.__qualname__}", encoded))
 
     recorders.append(note)
+    compile_when_called()
     with tempfile.TemporaryDirectory() as folder:
         MAKERS[product](write_rasters(Path(folder)), Path(folder))
     return found

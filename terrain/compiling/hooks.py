@@ -11,6 +11,7 @@ Compile = Callable[[Sequence[str]], None]
 _compilers: list[Compile] = []
 _needed: dict[str, None] = {}
 _compiled: set[str] = set()
+_is_ahead = True
 
 
 def need(product: str) -> None:
@@ -31,10 +32,16 @@ def compiled_by(compile_products: Compile) -> Iterator[None]:
         _compilers.remove(compile_products)
 
 
+def compile_when_called() -> None:
+    """From now on compile each loop in this process when it is called, whatever product is needed."""
+    global _is_ahead
+    _is_ahead = False
+
+
 def report_missing_loop() -> bool:
     """Compile the products that are needed; return whether any was, so that the loop may be stored by now."""
     products = [product for product in _needed if product not in _compiled]
-    if not products or not _compilers:
+    if not products or not _compilers or not _is_ahead:
         return False
     _compiled.update(products)
     _compilers[-1](products)
