@@ -19,6 +19,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from api.library.register_accessor import register_accessor
+from terrain.level.gdal_guard import cap_caches
 
 if TYPE_CHECKING:
     from api.library.arrays import shadow
@@ -52,4 +53,5 @@ else:
 
 __all__ = ["OpenLevel", "SkuggaError", "horizon", "open_heights", "open_level", "shadow", "sun_hours", "sunlit"]
 
+cap_caches()  # before whoever imports this opens a raster, or starts a process that does
 register_accessor()
