@@ -28,6 +28,7 @@ from api.workers.jobs import (
     Job,
     LevelKey,
     Ping,
+    Pong,
     Preparing,
     Result,
     Snapshot,
@@ -47,8 +48,10 @@ if TYPE_CHECKING:
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 """Pause before a second start in a row that follows a failure; it doubles from there."""
 
-PING_EVERY_S, PONG_S = 5.0, 5.0
-"""How long a process may be idle before it is asked whether it still answers, and how long it may take to."""
+PING_EVERY_S, PONG_S = 5.0, 30.0
+"""How long a process may be idle before it is asked whether it still answers, and how long it may take to: it may be opening a level
+for later requests.
+"""
 
 LONGEST_RETRY_S = 120
 """The latest that a refused client is told to come back."""
@@ -399,7 +402,9 @@ class Pool:
                 await asyncio.wait_for(self._news.wait(), PING_EVERY_S)
             except TimeoutError:
                 try:
-                    await worker.ask(Ping(), PONG_S)
+                    pong = await worker.ask(Ping(), PONG_S)
+                    if isinstance(pong, Pong):
+                        self.compiling.begin(pong.missing_loops)
                 except (RenderTimeoutError, WorkerCrashError):
                     log.error("render process %s is replaced: it does not answer any more", worker.pid)
                     return None

@@ -167,6 +167,7 @@ class WorkerState:
     renderer: str
     basis: PlanBasis = field(default_factory=PlanBasis)
     most_ms: float | None = None
+    missing_loops: int = 0
     scenes: SceneCache = field(default_factory=SceneCache)
     plans: TilePlanCache = field(default_factory=TilePlanCache)
     blocks: Cache[DrawnAndFacts] = field(default_factory=lambda: Cache("api.workers.blocks", "process", BLOCKS_BYTES))
@@ -359,7 +360,10 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
     def say(task: str, done: int = 0, total: int = 0) -> None:
         pipe.send(Preparing(task, done, total))
 
+    compiled: list[str] = []
+
     def compile_products(products: Sequence[str]) -> None:
+        compiled.extend(products)
         say(f"compiling loops for {products[0]}")
         compile_ahead(products, CORES, say)
 
@@ -369,15 +373,23 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
             if problem := loop_store().problem:
                 say(problem)
             state = WorkerState(renderer, config.basis or PlanBasis(calibration()), config.most_ms)
-            missing = len(missing_tasks(PRODUCTS))
-            pipe.send(Ready(state.renderer, state.device, gl.renderer_and_version()[1], gl.egl_device_name(), missing))
+            if compiled:  # a first start: more is missing. Else that is looked for while nothing is asked
+                count_missing_loops(state)
+            version, egl_device = gl.renderer_and_version()[1], gl.egl_device_name()
+            pipe.send(Ready(state.renderer, state.device, version, egl_device, state.missing_loops))
             # While loops are missing they are compiled in the background, on all cores: that is no idle time.
-            steps = [] if missing else [partial(prepare_level, block, state) for block in config.first_blocks[:MAX_SCENES]]
-            _answer_jobs(pipe, state, [*steps, import_pvlib])
+            blocks = () if state.missing_loops else config.first_blocks[:MAX_SCENES]
+            steps = [partial(prepare_level, block, state) for block in blocks]
+            _answer_jobs(pipe, state, [partial(count_missing_loops, state), *steps, import_pvlib])
     except SkuggaError as error:
         pipe.send(Failure.of(error, fatal=True))
     except (EOFError, OSError):
         return
+
+
+def count_missing_loops(state: WorkerState) -> None:
+    """Count the recorded loops that are stored nowhere; this imports the modules of all loops."""
+    state.missing_loops = len(missing_tasks(PRODUCTS))
 
 
 def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Callable[[], None]]) -> None:
@@ -391,7 +403,7 @@ def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Call
             steps.popleft()()
         job = pipe.recv()
         if isinstance(job, Ping):
-            pipe.send(Pong())
+            pipe.send(Pong(state.missing_loops))
             continue
         if isinstance(job, PlanBasis):
             state.basis = job
