@@ -49,8 +49,8 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 """Pause before a second start in a row that follows a failure; it doubles from there."""
 
 PING_EVERY_S, PONG_S = 5.0, 30.0
-"""How long a process may be idle before it is asked whether it still answers, and how long it may take to: it may be opening a level
-for later requests.
+"""How long a process may be idle before it is asked whether it still answers, and how long it may take to: it may be opening a
+level for later requests.
 """
 
 LONGEST_RETRY_S = 120
