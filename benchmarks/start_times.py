@@ -13,7 +13,6 @@ import shlex
 import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import time as clock
 import urllib.error
@@ -198,8 +197,3 @@ def _free_port() -> int:
 def _children_cpu_s() -> float:
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
-
-
-if __name__ == "__main__":
-    for line in table(sys.executable, sys.argv[1] if sys.argv[1:] else None):
-        print(line, flush=True)
