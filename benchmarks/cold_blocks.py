@@ -18,8 +18,9 @@ from morecantile import tms as matrix_sets
 
 from api.catalogue import find_level
 from api.matrices import ZoomRange
+from api.seed.messages import Task
 from api.seed.planning import PlannedRun, SeedRequest, plan_run
-from api.seed.run_spec import MATRIX_SET, Task
+from api.seed.run_spec import MATRIX_SET
 from api.seed.running import task_of
 from api.seed.task_table import TaskTable
 from api.workers.block_tiles import BLOCK_TILES, TILE_PX, encoded_part
