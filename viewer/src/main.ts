@@ -25,6 +25,17 @@ import './style.css'; // after MapLibre's, which it adjusts
 const CALM_MS = 60;
 const WRITTEN_MS = 250;
 const TERRAIN = 'terrain-rgb';
+/** Milliseconds for which the map has the service to itself, at most. */
+const FIRST_PICTURE_MS = 20_000;
+
+/** A promise that is resolved from outside. */
+function deferred(): { readonly promise: Promise<void>; readonly resolve: () => void } {
+  let resolve = () => {};
+  const promise = new Promise<void>((done) => {
+    resolve = done;
+  });
+  return { promise, resolve: () => resolve() };
+}
 
 const store = new Store({ ...FIRST_STATE, ...readAddress(location.hash) });
 const service = new Service();
@@ -55,6 +66,7 @@ class Page {
   readonly #start = new StartCard(byId('start'), announce);
   /** Whether the service can draw now, and whether it could before. */
   #ready = false;
+  readonly #firstPicture = deferred();
   #wasReady = false;
   #levels: readonly Level[] = [];
   #level!: PlacedLevel;
@@ -120,6 +132,7 @@ class Page {
     this.#status.note(this.#wasReady ? noteOf(readiness) : null);
     // Before the level is known, `#listen` draws it.
     if (begins && this.#level) this.#drawSoon();
+    if (begins) setTimeout(this.#firstPicture.resolve, FIRST_PICTURE_MS);
   }
 
   // --- levels and places ----------------------------------------------------------------------------------------------
@@ -252,6 +265,7 @@ class Page {
     });
     this.#shown.setOpacity(store.state.opacity);
     void this.#shown.map.once('idle').then(() => {
+      this.#firstPicture.resolve();
       if (signal.aborted) return;
       // The day's last picture lay above until the map below had its own.
       this.#player.clear();
@@ -268,6 +282,9 @@ class Page {
     const level = this.#level;
     if (this.#day?.offset !== offset) this.#day = null;
     try {
+      // A first start has to compile what the day needs, while the map could be drawn.
+      await this.#firstPicture.promise;
+      if (signal.aborted) return;
       const day = await fetchSunDay(service, level, date, offset, signal);
       this.#day = day;
       this.#dock.showDay(day);
