@@ -193,5 +193,5 @@ def test_on_a_terminal_there_is_a_bar_with_the_time_left(gl, folder):
 
 def test_the_usual_rate_is_that_of_the_help(run):
     status, out, _ = run("render", "--help")
-    assert status == 0 and f"default: {USUAL_FPS:g}" in out
+    assert status == 0 and f"default: {USUAL_FPS:g}" in " ".join(out.split())
     assert all(option in out for option in ("--from", "--to", "--step", "--path", "--fps"))
