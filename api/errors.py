@@ -55,7 +55,10 @@ class BrokenShardError(RenderError):
 
 
 class NotReadyError(BusyError):
-    """No render process has warmed up yet; ``preparing`` is what it does: ``task`` in words, steps ``done``, and ``total``."""
+    """No render process has warmed up yet.
+
+    ``preparing`` is what it does: the ``task`` in words, steps ``done``, and ``total``.
+    """
 
     def __init__(self, message: str, preparing: dict[str, Any] | None = None) -> None:
         self.preparing = preparing

@@ -241,11 +241,17 @@ def product_of(job: Job, scene: Scene) -> str:
             return POINTS
         case SunHoursJob():
             return SUN_HOURS
-        case SnapshotJob() | FrameJob() | FilmCheckJob() if isinstance(scene.view(job.view), PerspectiveView):
+        case SnapshotJob() | FrameJob() | FilmCheckJob() if _is_perspective(job, scene):
             return VIEWS
         case MapJob() | SnapshotJob() | FrameJob() | FilmCheckJob() if is_bare(scene):
             return PICTURES
     return MAPS if is_bare(scene) else MAPS_OF_CASTERS
+
+
+def _is_perspective(job: SnapshotJob | FrameJob | FilmCheckJob, scene: Scene) -> bool:
+    """Whether a job is of a camera: of one that the request places, or of a level's own view."""
+    named = scene.loaded.level.views.get(job.view)
+    return job.view != "map" if named is None else named.kind == "perspective"
 
 
 def _plan_of_facts(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:

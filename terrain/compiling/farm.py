@@ -15,9 +15,8 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
 from graphlib import TopologicalSorter
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
@@ -143,23 +142,23 @@ class _Queue:
     """Tasks whose callees are done: of the first product those with the longest chain of callers first."""
 
     def __init__(self, tasks: Sequence[Task]) -> None:
+        callees = callees_of([task.loop for task in tasks])
         by_loop: dict[Any, list[int]] = {}
         for number, task in enumerate(tasks):
             by_loop.setdefault(task.loop, []).append(number)
-        before = {number: {n for each in _callees(task.loop) for n in by_loop.get(each, ())} for number, task in enumerate(tasks)}
+        before = {number: [n for each in callees[task.loop] for n in by_loop.get(each, ())] for number, task in enumerate(tasks)}
+        self._tasks = tasks
+        own = [_code_bytes(task.loop) + sum(map(_code_bytes, callees[task.loop])) for task in tasks]
+        self._chain = list(own)
+        for number in reversed([*TopologicalSorter(before).static_order()]):  # callers first
+            for callee in before[number]:
+                self._chain[callee] = max(self._chain[callee], own[callee] + self._chain[number])
         self._sorter = TopologicalSorter(before)
         self._sorter.prepare()
         self._ready: list[int] = []
-        callers: dict[int, list[int]] = {}
-        for number, callees in before.items():
-            for callee in callees:
-                callers.setdefault(callee, []).append(number)
 
-        @cache
-        def chain(number: int) -> int:
-            return _size(tasks[number].loop) + max(map(chain, callers.get(number, ())), default=0)
-
-        self._urgency: Callable[[int], tuple[int, int]] = lambda number: (-tasks[number].rank, chain(number))
+    def _urgency(self, number: int) -> tuple[int, int]:
+        return -self._tasks[number].rank, self._chain[number]
 
     @property
     def is_active(self) -> bool:
@@ -196,16 +195,24 @@ def _compile_until_closed(pipe: Connection, tasks: Sequence[Task], foreign: Sequ
             return
 
 
-@cache
-def _callees(loop: Any) -> frozenset[Any]:
-    """Return the loops that a loop calls, and those that they call."""
-    found: set[Any] = set()
-    function = loop.py_func
-    cells = [cell.cell_contents for cell in function.__closure__ or ()]
-    for value in [*cells, *(function.__globals__.get(name) for name in _names(function.__code__))]:
-        if isinstance(value, Dispatcher) and value is not loop:
-            found |= {value} | _callees(value)
-    return frozenset(found)
+def callees_of(loops: Iterable[Any]) -> dict[Any, set[Any]]:
+    """Return the loops that each loop calls, and those that they call, for all loops that are met."""
+    found: dict[Any, set[Any]] = {}
+
+    def look(loop: Any) -> set[Any]:
+        if loop not in found:
+            found[loop] = set()  # a loop that calls itself
+            function = loop.py_func
+            cells = [cell.cell_contents for cell in function.__closure__ or ()]
+            values = [*cells, *(function.__globals__.get(name) for name in _names(function.__code__))]
+            for callee in values:
+                if isinstance(callee, Dispatcher) and callee is not loop:
+                    found[loop] |= {callee} | look(callee)
+        return found[loop]
+
+    for loop in loops:
+        look(loop)
+    return found
 
 
 def _names(code: CodeType) -> Iterator[str]:
@@ -215,10 +222,9 @@ def _names(code: CodeType) -> Iterator[str]:
             yield from _names(constant)
 
 
-@cache
-def _size(loop: Any) -> int:
-    """Return the bytes of code that compiling a loop takes, its callees with it: some measure of the time."""
-    return sum(len(each.py_func.__code__.co_code) for each in {loop} | _callees(loop))
+def _code_bytes(loop: Any) -> int:
+    """Return the bytes of a loop's code: some measure of the time that compiling it takes."""
+    return len(loop.py_func.__code__.co_code)
 
 
 if __name__ == "__main__":

@@ -135,6 +135,6 @@ def test_documentation(client: Client):
     assert {"time", "azimuth", "altitude", "algorithm", "layer"} <= {each["name"] for each in tile["parameters"]}
     schema = document["components"]["schemas"]["Problem"]
     assert tile["responses"]["422"]["content"]["application/problem+json"]["schema"] == {"$ref": "#/components/schemas/Problem"}
-    assert {"type", "title", "status", "detail", "code", "parameter"} == set(schema["properties"])
+    assert {"type", "title", "status", "detail", "code", "parameter", "preparing"} == set(schema["properties"])
     references = set(re.findall(r'"#/components/schemas/(\w+)"', json.dumps(document)))
     assert references <= set(document.get("components", {}).get("schemas", {}))
