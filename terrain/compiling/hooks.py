@@ -9,14 +9,15 @@ Compile = Callable[[Sequence[str]], None]
 """Compiles all that some products need."""
 
 _compilers: list[Compile] = []
-_needed: dict[str, None] = {}
+_needed: list[str] = []
 _compiled: set[str] = set()
 _is_ahead = True
 
 
 def need(product: str) -> None:
     """Declare what is being made (one of ``ahead.PRODUCTS``): if a loop is missing, all loops of it are compiled together."""
-    _needed[product] = None
+    if product not in _needed:
+        _needed.append(product)
 
 
 @contextmanager

@@ -91,7 +91,7 @@ def test_first_products_go_first_and_of_them_the_longest_chain() -> None:
 
 @pytest.fixture
 def nothing_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hooks, "_needed", {})
+    monkeypatch.setattr(hooks, "_needed", [])
     monkeypatch.setattr(hooks, "_compiled", set())
 
 
