@@ -1,0 +1,34 @@
+"""``skugga compile``: what it says of loops that were missing, and of none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from api.cli import compiling
+from api.cli.compiling import compile_everything, compile_for_command
+from terrain.compiling.ahead import PRODUCTS
+from terrain.compiling.loop_cache import loop_store
+
+
+@pytest.mark.parametrize(("missing", "said"), [(7, "Compiled 7 loops in "), (0, "Nothing to compile: all loops are in ")])
+def test_compile_tells_how_many_loops_were_missing(monkeypatch: pytest.MonkeyPatch, missing: int, said: str) -> None:
+    asked = []
+
+    def compile_ahead(products, processes, progress) -> None:
+        asked.append(tuple(products))
+        for done in range(missing + 1 if missing else 0):
+            progress("compiling loops for points", done, missing)
+
+    monkeypatch.setattr(compiling, "compile_ahead", compile_ahead)
+    sentence = compile_everything()
+    assert sentence.startswith(said) and str(loop_store().folder) in sentence
+    assert asked == [PRODUCTS]
+
+
+def test_a_second_compile_finds_everything_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "loops"))
+    points = ("points",)
+    assert compile_for_command(points) > 10
+    assert compile_for_command(points) == 0
