@@ -27,6 +27,7 @@ def test_compile_tells_how_many_loops_were_missing(monkeypatch: pytest.MonkeyPat
     assert asked == [PRODUCTS]
 
 
+@pytest.mark.long
 def test_a_second_compile_finds_everything_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "loops"))
     points = ("points",)
