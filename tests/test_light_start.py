@@ -84,8 +84,8 @@ NOON = ["--time", "2024-03-21T12:00:00+01:00"]
 PLACE = ["--at", "15.008,46.95"]
 
 WORK: dict[str, tuple[list[str], frozenset[str]]] = {
-    "levels": (["levels"], RASTERS | LOOPS | TABLES),
-    "levels as JSON": (["levels", "--json"], RASTERS | LOOPS),
+    "levels": (["levels"], RASTERS | TABLES),
+    "levels as JSON": (["levels", "--json"], RASTERS),
     "validate": (["validate", "hills.tif"], RASTERS | LOOPS | PLAN),
     "init": (["init", "hills.tif", "-o", "hills.yaml"], RASTERS | LOOPS),
     "overviews": (["overviews", "hills.tif"], RASTERS | LOOPS),
@@ -231,7 +231,7 @@ if __name__ == "__main__":
     main()
 """
 
-FRONT = RASTERS | LOOPS | {"PIL", "fastapi", "morecantile", "pmtiles", "starlette", "uvicorn"}
+FRONT = RASTERS | {"PIL", "fastapi", "morecantile", "pmtiles", "starlette", "uvicorn"}
 
 
 def test_the_front_process_of_a_service_imports_nothing_that_draws(folder):
