@@ -25,7 +25,7 @@ FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
 SUFFIX = ".loop"
 
 MAX_BYTES = 256 * 2**20
-"""Size of the user's folder. All loops of one version take some 30 MB."""
+"""Size of the user's folder. All loops of one version take 10 MB."""
 
 EVICTED_TO = 0.75
 """Share of ``MAX_BYTES`` that an eviction leaves, so that not every write evicts."""
