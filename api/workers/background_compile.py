@@ -40,7 +40,7 @@ class BackgroundCompile:
     def begin(self, missing_loops: int) -> None:
         """Begin, where loops are missing and this has not begun before."""
         if missing_loops and self._task is None and not self._closed:
-            self._on_progress(Preparing(f"compiling loops for {PRODUCTS[0]}", 0, missing_loops))
+            self._on_progress(Preparing("compiling loops for everything else", 0, missing_loops))
             self._task = asyncio.create_task(self._run(asyncio.get_running_loop()))
 
     async def close(self) -> None:

@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         with _one_at_a_time(asked.background):
             tasks = missing_tasks(asked.products)
             if tasks:
-                print(0, len(tasks), asked.products[0], flush=True)
+                print(0, len(tasks), asked.products[min(task.rank for task in tasks)], flush=True)
             for done, task in enumerate(compile_tasks(tasks, asked.processes), 1):
                 print(done, len(tasks), asked.products[task.rank], flush=True)
     except BrokenPipeError:  # whoever waited has ended

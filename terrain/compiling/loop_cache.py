@@ -151,9 +151,8 @@ class LoopCache(_Cache):
         content = None if name is None else loop_store().read(name)
         if content is None:
             return None
-        rtsys.initialize(
-            target_context
-        )  # numba refreshes the whole context here, which takes half a second and serves compiling alone
+        # Numba refreshes the whole context here, which takes half a second and serves compiling alone.
+        rtsys.initialize(target_context)
         try:
             return _rebuild(target_context, *pickle.loads(content))
         except (AttributeError, ImportError, EOFError, pickle.UnpicklingError, TypeError) as error:
