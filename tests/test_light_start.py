@@ -60,7 +60,7 @@ LIGHT: dict[str, tuple[list[str], int, frozenset[str]]] = {
     "missing argument": (["validate"], 2, TYPER),
     "missing option": (["sunhours", "x.tif"], 2, TYPER),
     "value that is no number": (["overviews", "x.tif", "--nodata", "none"], 2, TYPER),
-    "script of completion": (["--show-completion"], 0, TYPER),
+    "script of completion": (["--show-completion", "bash"], 0, TYPER),
 }
 """Entry point -> arguments of ``skugga``, exit status, and what it may import."""
 
