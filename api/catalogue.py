@@ -11,6 +11,9 @@ from terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
 RASTER_SUFFIXES = ".tif", ".tiff", ".vrt", ".img", ".asc", ".hgt"
 """Usual ones of rasters of heights, by which those in a folder are named."""
 
+ARCHIVE_SUFFIX = ".pmtiles"
+"""Of archives of tiles, which are served as they are."""
+
 
 def bundled_levels() -> list[Path]:
     """Paths of the bundled level files, by name."""

@@ -21,7 +21,7 @@ from api.http.app import create_app
 from api.layers import encode_picture, picture_layer
 from api.settings import Settings
 from api.workers.block_tiles import PicturedBlock, encoded_tiles
-from api.workers.jobs import BlockJob, BlockTiles, DescribedPlanJob, DescriptorJob, PlanAnswer, PlanJob, Ready, Snapshot
+from api.workers.jobs import BlockJob, BlockTiles, DescribedPlanJob, DescriptorJob, Ping, PlanAnswer, PlanJob, Pong, Ready, Snapshot
 from api.workers.render_worker import WorkerState, run_job
 from api.workers.worker_main import WorkerConfig
 from selector.candidates import name_of
@@ -45,6 +45,9 @@ def told(pipe: Connection, config: WorkerConfig) -> None:
             job = pipe.recv()
         except EOFError:
             return
+        if isinstance(job, Ping):
+            pipe.send(Pong())
+            continue
         if isinstance(job, DescriptorJob | DescribedPlanJob):
             pipe.send(run_job(job, WorkerState("told")))
             continue

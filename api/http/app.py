@@ -47,8 +47,8 @@ from api.workers.idle_calibration import measured_profile
 from api.workers.idle_probes import Probe, probed_level
 from api.workers.jobs import LevelKey
 from api.workers.pool import Pool
+from api.workers.spawned import Spawned, WorkerTarget
 from api.workers.worker_main import worker_main
-from api.workers.worker_process import WorkerTarget
 from selector.cost.device_profile import DeviceProfile
 from terrain.level.level_source import LevelSource
 
@@ -60,10 +60,11 @@ def create_app(
     measure: Callable[[], DeviceProfile] = measured_profile,
     probe: Probe = probed_level,
     archives: Sequence[Path] = (),
+    spawned: Spawned | None = None,
 ) -> FastAPI:
     """The application over some levels, those of the settings' folder, and archives of tiles; its render processes run from its
-    start to its end, if there may be levels. A device without a calibration is given one by ``measure`` while nothing is drawn, and
-    levels are probed by ``probe``.
+    start to its end, if there may be levels; the first one may have been ``spawned`` before. A device without a calibration is
+    given one by ``measure`` while nothing is drawn, and levels are probed by ``probe``.
 
     Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served, ``ArchiveError`` for an archive,
     also one that a level names; of the folder's levels such are left out, and such archives told of in the log.
@@ -75,7 +76,7 @@ def create_app(
     of_tiles = ServedArchives(archives, settings.level_check_s, settings.level_timeout_s)
     for level in named:
         of_tiles.check_level(level)
-    pool = Pool(settings, worker_target, lambda: first_blocks(served), measure, probe)
+    pool = Pool(settings, worker_target, lambda: first_blocks(served), measure, probe, spawned)
     tiles = EncodedTiles(settings.tile_cache_bytes)
 
     async def level_now(name: str) -> LevelKey:

@@ -25,8 +25,6 @@ from api.file_stamps import Stamp, file_stamps
 from terrain.cache import MIB, Cache, Missing
 from terrain.errors import Fault
 
-ARCHIVE_SUFFIX = ".pmtiles"
-
 TILE_FORMATS = {
     TileType.PNG: ("png", "image/png"),
     TileType.JPEG: ("jpg", "image/jpeg"),

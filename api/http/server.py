@@ -23,6 +23,7 @@ from api.http.service import Service
 from api.http.watching import LogLine
 from api.settings import Settings
 from api.workers.process_life import open_descriptors
+from api.workers.spawned import Spawned
 from terrain.level.level_source import LevelSource
 
 LAST_ANSWERS_S = 3
@@ -138,9 +139,14 @@ def connection_limit(settings: Settings) -> int:
     return min(settings.max_connections, max(left, LEAST_CONNECTIONS))
 
 
-def serve(settings: Settings, levels: Sequence[Path | LevelSource], archives: Sequence[Path] = ()) -> None:
-    """Serve levels and archives of tiles until SIGINT or SIGTERM. Raises as ``create_app`` does."""
-    app = create_app(settings, levels, archives=archives)
+def serve(
+    settings: Settings, levels: Sequence[Path | LevelSource], archives: Sequence[Path] = (), spawned: Spawned | None = None
+) -> None:
+    """Serve levels and archives of tiles until SIGINT or SIGTERM; the first render process may have been ``spawned`` before.
+
+    Raises as ``create_app`` does.
+    """
+    app = create_app(settings, levels, archives=archives, spawned=spawned)
     config = uvicorn.Config(
         app, host=settings.host, port=settings.port, access_log=False, log_config=log_config(settings), http=BoundedHeaders,
         ws="none", server_header=False, timeout_graceful_shutdown=LAST_ANSWERS_S,

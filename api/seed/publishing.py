@@ -11,6 +11,7 @@ from typing import Any, Literal, cast
 
 from pmtiles.tile import tileid_to_zxy
 
+from api.catalogue import ARCHIVE_SUFFIX
 from api.errors import BrokenShardError
 from api.file_stamps import file_stamps
 from api.seed.archive import ArchiveFacts, ShardIndex, write_archive
@@ -22,15 +23,13 @@ from api.seed.task_table import LOST, TaskTable
 from terrain.errors import InputError
 from terrain.whole_files import forget_halves, write_whole
 
-ARCHIVE = ".pmtiles"
-
 MANIFEST = "tiles.json"
 """Of a folder of tiles: its TileJSON. It is written last: where it is, the folder is whole."""
 
 
 def is_archive(output: Path) -> bool:
     """Whether an output is an archive; else it is a folder of tiles."""
-    return output.suffix.lower() == ARCHIVE
+    return output.suffix.lower() == ARCHIVE_SUFFIX
 
 
 def check_output(output: Path) -> None:
@@ -41,7 +40,7 @@ def check_output(output: Path) -> None:
         if output.is_dir():
             raise InputError("--output", str(output), "a file: there is a folder of that name")
     elif output.exists() and not output.is_dir():
-        raise InputError("--output", str(output), f"a folder for tiles, or a name that ends in {ARCHIVE}")
+        raise InputError("--output", str(output), f"a folder for tiles, or a name that ends in {ARCHIVE_SUFFIX}")
     elif output.is_dir() and any(output.iterdir()) and not (output / MANIFEST).exists():
         raise InputError("--output", str(output), f"a new folder, an empty one or one of tiles that has a {MANIFEST}")
 

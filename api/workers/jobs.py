@@ -264,7 +264,9 @@ Job = (
 
 @dataclass(frozen=True)
 class Ping:
-    """Asks an idle render process whether it still answers."""
+    """Asks an idle render process whether it still answers, and tells it the blocks of levels to prepare for while it is idle."""
+
+    first_blocks: tuple[BlockJob, ...] = ()
 
 
 @dataclass(frozen=True)

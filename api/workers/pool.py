@@ -36,8 +36,9 @@ from api.workers.jobs import (
 from api.workers.plan_basis import PlanBasis
 from api.workers.process_life import is_stopped
 from api.workers.set_aside import SetAside
-from api.workers.worker_main import WorkerConfig, worker_main
-from api.workers.worker_process import WorkerProcess, WorkerTarget
+from api.workers.spawned import Spawned, WorkerTarget
+from api.workers.worker_main import first_config, worker_main
+from api.workers.worker_process import WorkerProcess
 from terrain.cache import Cache, Missing
 from terrain.errors import BusyError, GraphicsError, RenderTimeoutError, SkuggaError
 from terrain.gl.egl_devices import NO_OPENGL
@@ -47,6 +48,9 @@ if TYPE_CHECKING:
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 """Pause before a second start in a row that follows a failure; it doubles from there."""
+
+PREPARE_AFTER_S = 1.0
+"""How long a process is idle before it is told what to prepare for."""
 
 PING_EVERY_S, PONG_S = 5.0, 30.0
 """How long a process may be idle before it is asked whether it still answers, and how long it may take to: it may be opening a
@@ -84,9 +88,10 @@ class Pool:
     """Runs jobs in render processes. To be used from one event loop.
 
     Equal jobs at the same time are one job. Finished blocks and snapshots are kept within ``block_cache_bytes``. A process that
-    is idle prepares for the levels of ``first_blocks``. A device without a calibration is given one by ``measure`` while nothing is
-    drawn, and levels that maps are drawn of are probed by ``probe``. Loops that are stored nowhere are compiled in the background
-    once a process is ready; ``preparing`` is how far that is, and before that how far the first process is.
+    is idle prepares for the levels of ``first_blocks``; the first one may have been ``spawned`` before, by ``first_config``. A
+    device without a calibration is given one by ``measure`` while nothing is drawn, and levels that maps are drawn of are probed by
+    ``probe``. Loops that are stored nowhere are compiled in the background once a process is ready; ``preparing`` is how far that
+    is, and before that how far the first process is.
 
     ``basis`` is what plans go by. Another one may take its place at any time: what is begun after that goes by it, in all
     processes, and of what is kept only pictures of its version are found.
@@ -99,14 +104,11 @@ class Pool:
         first_blocks: Callable[[], tuple[BlockJob, ...]] = tuple,
         measure: Callable[[], DeviceProfile] = measured_profile,
         probe: Probe = probed_level,
+        spawned: Spawned | None = None,
     ) -> None:
         self._settings = settings
-        self._target, self._first_blocks = target, first_blocks
-        self._config = WorkerConfig(
-            gl_threads=max(cores() // settings.workers, 1),
-            expect_renderer=settings.expect_renderer,
-            most_ms=settings.render_timeout_s * 1000.0,
-        )
+        self._target, self._first_blocks, self._spawned = target, first_blocks, spawned
+        self._config = first_config(settings)
         # Twice as many: a process that cannot be killed keeps its thread, and another one takes its place.
         self._threads = ThreadPoolExecutor(2 * settings.workers, "skugga-pipe")
         self._finished: Cache[BlockTiles | Snapshot] = Cache(
@@ -315,12 +317,15 @@ class Pool:
 
     async def _one_process(self, number: int) -> bool:
         """Whether a process was started, and ended in good order or at least after having taken a job."""
-        first_blocks = await asyncio.get_running_loop().run_in_executor(self._threads, self._first_blocks)
-        # OpenGL that was there is waited for: a service does not turn into one that draws less.
-        needs_opengl = self.renderer not in (None, NO_OPENGL)
-        config = replace(self._config, first_blocks=first_blocks, needs_opengl=needs_opengl, basis=self.basis, number=number)
-        worker = WorkerProcess(self._target, config, self._threads, self._news.set, self._note_preparing)
+        spawned, self._spawned = self._spawned, None
+        if spawned is None:
+            # OpenGL that was there is waited for: a service does not turn into one that draws less.
+            needs_opengl = self.renderer not in (None, NO_OPENGL)
+            config = replace(self._config, needs_opengl=needs_opengl, basis=self.basis, number=number)
+            spawned = Spawned(self._target, config)
+        worker = WorkerProcess(spawned, self._threads, self._news.set, self._note_preparing)
         try:
+            worker.first_blocks = await asyncio.get_running_loop().run_in_executor(self._threads, self._first_blocks)
             return await self._start_and_serve(worker)
         finally:
             self.pids.discard(worker.pid or 0)
@@ -399,10 +404,11 @@ class Pool:
                 return flight
             self._news.clear()
             try:
-                await asyncio.wait_for(self._news.wait(), PING_EVERY_S)
+                await asyncio.wait_for(self._news.wait(), PREPARE_AFTER_S if worker.first_blocks else PING_EVERY_S)
             except TimeoutError:
                 try:
-                    pong = await worker.ask(Ping(), PONG_S)
+                    pong = await worker.ask(Ping(worker.first_blocks), PONG_S)
+                    worker.first_blocks = ()
                     if isinstance(pong, Pong):
                         self.compiling.begin(pong.missing_loops)
                 except (RenderTimeoutError, WorkerCrashError):

@@ -360,7 +360,7 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
     stand_back()
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
     take_turn(config.number)
-    from api.workers.preparation import import_pvlib, prepare_level
+    from api.workers.preparation import import_pvlib
     from api.workers.warm_up import warm_up
 
     def say(task: str, done: int = 0, total: int = 0) -> None:
@@ -383,10 +383,7 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
                 count_missing_loops(state)
             version, egl_device = gl.renderer_and_version()[1], gl.egl_device_name()
             pipe.send(Ready(state.renderer, state.device, version, egl_device, state.missing_loops))
-            # While loops are missing they are compiled in the background, on all cores: that is no idle time.
-            blocks = () if state.missing_loops else config.first_blocks[:MAX_SCENES]
-            steps = [partial(prepare_level, block, state) for block in blocks]
-            _answer_jobs(pipe, state, [partial(count_missing_loops, state), *steps, import_pvlib])
+            _answer_jobs(pipe, state, [partial(count_missing_loops, state), import_pvlib])
     except SkuggaError as error:
         pipe.send(Failure.of(error, fatal=True))
     except (EOFError, OSError):
@@ -403,6 +400,8 @@ def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Call
 
     Raises ``EOFError`` or ``OSError`` when the pipe is closed.
     """
+    from api.workers.preparation import prepare_level
+
     steps = deque(idle_steps)
     while True:
         while steps and not pipe.poll(IDLE_S):
@@ -410,6 +409,9 @@ def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Call
         job = pipe.recv()
         if isinstance(job, Ping):
             pipe.send(Pong(state.missing_loops))
+            # While loops are missing they are compiled in the background, on all cores: that is no idle time.
+            blocks = () if state.missing_loops else job.first_blocks[:MAX_SCENES]
+            steps.extend(partial(prepare_level, block, state) for block in blocks)
             continue
         if isinstance(job, PlanBasis):
             state.basis = job

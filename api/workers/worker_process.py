@@ -6,15 +6,13 @@ import asyncio
 import logging
 from collections.abc import Callable
 from concurrent.futures import Executor
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 from api.errors import WorkerCrashError
-from api.workers.jobs import Answer, Failure, Job, Ping, Preparing, Ready
+from api.workers.jobs import Answer, BlockJob, Failure, Job, Ping, Preparing, Ready
 from api.workers.plan_basis import PlanBasis
 from api.workers.process_life import JOIN_S, is_stopped
-from api.workers.worker_main import WorkerConfig
+from api.workers.spawned import Spawned
 from terrain.errors import GraphicsError, RenderTimeoutError
 
 MOST_SAID = 300
@@ -27,32 +25,30 @@ T = TypeVar("T")
 
 log = logging.getLogger("skugga")
 
-WorkerTarget = Callable[[Connection, WorkerConfig], None]
-
 
 class WorkerProcess:
-    """A process that runs ``target(pipe, config)``. ``start`` it, ``ask`` it one job at a time, then ``end`` it.
+    """A process that was spawned, or is to be. ``start`` it, ``ask`` it one job at a time, then ``end`` it.
 
     In the event loop ``on_death`` is called when it ends by itself, and ``on_preparing`` with what it does before it is ready or
-    begins a job. ``basis`` is what its plans go by. ``prepared`` says whether it had to prepare for the job that it did last.
+    begins a job. ``basis`` is what its plans go by. ``prepared`` says whether it had to prepare for the job that it did last. For
+    ``first_blocks`` it prepares while it is idle, once it was told of them.
     """
 
     def __init__(
         self,
-        target: WorkerTarget,
-        config: WorkerConfig,
+        spawned: Spawned,
         threads: Executor,
         on_death: Callable[[], None],
         on_preparing: Callable[[Preparing], None] = lambda preparing: None,
     ) -> None:
-        spawn = get_context("spawn")
-        self._pipe, self._theirs = spawn.Pipe()
-        self._process = spawn.Process(target=target, args=(self._theirs, config), name="skugga-render", daemon=True)
+        self._spawned = spawned
+        self._pipe, self._process = spawned.pipe, spawned.process
         self._threads, self._on_death, self._on_preparing = threads, on_death, on_preparing
         self._task = ""
         self._in_thread: asyncio.Future[Any] | None = None
         self._watched: int | None = None
-        self.basis = config.basis
+        self.basis = spawned.config.basis
+        self.first_blocks: tuple[BlockJob, ...] = ()
         self.dead = False
         self.prepared = False
 
@@ -62,15 +58,15 @@ class WorkerProcess:
         return self._process.pid
 
     async def start(self, timeout_s: float) -> Ready:
-        """Start the process and wait until it has warmed up.
+        """Start the process if it was not, and wait until it has warmed up.
 
         Raises ``GraphicsError`` or the process's own error where it does not, and where nothing is heard of it for so long.
         """
-        try:
-            await asyncio.shield(self._in_new_thread(self._process.start))
-        except OSError as error:
-            raise GraphicsError(f"a render process cannot be started: {error.strerror}") from None
-        self._theirs.close()  # else its end would not be noticed
+        if self.pid is None:
+            try:
+                await asyncio.shield(self._in_new_thread(self._spawned.start))
+            except OSError as error:
+                raise GraphicsError(f"a render process cannot be started: {error.strerror}") from None
         self._watched = self._process.sentinel
         asyncio.get_running_loop().add_reader(self._watched, self._note_death)
         try:
@@ -117,8 +113,7 @@ class WorkerProcess:
             if not done:  # a closed pipe's number could be another file's before it is read
                 log.error("render process %s cannot be killed; its pipe stays open", self.pid)
                 return
-        self._pipe.close()
-        self._theirs.close()
+        self._spawned.close()
 
     async def _answer(self, function: Callable[[], Any], timeout_s: float) -> Any:
         """Return what follows all that is prepared first; each step of that may take ``timeout_s``. Raises as ``_heard``."""

@@ -26,7 +26,7 @@ from api.http.service import Service
 from api.seed.archive import ArchiveFacts, ShardIndex, write_archive
 from api.settings import Settings
 from api.workers.block_tiles import empty_tile
-from api.workers.worker_process import WorkerTarget
+from api.workers.spawned import WorkerTarget
 from tests.rasters import ENGINEERING
 
 ZOOM = 12

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,10 +29,10 @@ def serve(
     workers: Annotated[int | None, typer.Option(help="Render processes.", min=1)] = None,
 ) -> None:
     """Serve levels as map tiles over HTTP, with a viewer on /; and archives of tiles (.pmtiles) as they are."""
-    from api.catalogue import bundled_levels
-    from api.http.archive_file import ARCHIVE_SUFFIX
-    from api.http.server import serve as run
+    from api.catalogue import ARCHIVE_SUFFIX, bundled_levels
     from api.settings import load_settings
+    from api.workers.spawned import Spawned
+    from api.workers.worker_main import first_config, worker_main
     from terrain.level.level_source import LevelSource
 
     options = {"host": host, "port": port, "workers": workers, "levels": folder}
@@ -44,4 +45,12 @@ def serve(
         raise InputError(f"--{option}", str(levels[0].path), "a raster beside it: an archive is served as it is")
     if not levels and settings.levels is None:
         levels = [LevelSource(path=path) for path in bundled_levels()]
-    run(settings, [each for each in levels if each not in archives], [each.path for each in archives])
+    drawn = [each for each in levels if each not in archives]
+    spawned = None
+    if drawn or settings.levels is not None:
+        spawned = Spawned(worker_main, first_config(settings))
+        with suppress(OSError):  # it is started again later, as any that does not start
+            spawned.start()  # before the imports of this process, which take as long as its own
+    from api.http.server import serve as run
+
+    run(settings, drawn, [each.path for each in archives], spawned)

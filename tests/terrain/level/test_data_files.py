@@ -185,6 +185,17 @@ print(rasterio.open("dem.tif").read(1).sum(), rasterio.open("twice.vrt").read(1)
 """
 
 
+def test_gdal_does_not_tell_of_drivers_that_it_lacks():
+    """Wheels of pyogrio have no PostgreSQL driver to skip."""
+    code = "from terrain.level.gdal_guard import forbid_remote_reads as f; f(); import rasterio, pyogrio"
+    environment = {name: value for name, value in os.environ.items() if name != "CPL_LOG"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False,
+        env={**environment, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("guarded", ["yes", "no"])
 def test_gdal_itself_asks_no_other_machine_when_that_is_forbidden(folder, guarded):
     asked = []

@@ -1,0 +1,31 @@
+"""A process at the other end of a pipe. Light: a service starts its first one before it imports what it needs itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+
+from api.workers.worker_main import WorkerConfig
+
+WorkerTarget = Callable[[Connection, WorkerConfig], None]
+
+
+class Spawned:
+    """A process that runs ``target(pipe, config)`` once it is started. It does not outlive this one."""
+
+    def __init__(self, target: WorkerTarget, config: WorkerConfig) -> None:
+        spawn = get_context("spawn")
+        self.config = config
+        self.pipe, self.theirs = spawn.Pipe()
+        self.process = spawn.Process(target=target, args=(self.theirs, config), name="skugga-render", daemon=True)
+
+    def start(self) -> None:
+        """Start the process. Raises ``OSError``."""
+        self.process.start()
+        self.theirs.close()  # else its end would not be noticed
+
+    def close(self) -> None:
+        """Close the pipe, of a process that has ended or was never started."""
+        self.pipe.close()
+        self.theirs.close()
