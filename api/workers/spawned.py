@@ -6,6 +6,7 @@ from collections.abc import Callable
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
+from api.workers.process_life import JOIN_S
 from api.workers.worker_main import WorkerConfig
 
 WorkerTarget = Callable[[Connection, WorkerConfig], None]
@@ -24,6 +25,13 @@ class Spawned:
         """Start the process. Raises ``OSError``."""
         self.process.start()
         self.theirs.close()  # else its end would not be noticed
+
+    def end(self) -> None:
+        """End the process at once, if it was started and has not ended."""
+        if self.process.pid is not None:
+            self.process.kill()
+            self.process.join(JOIN_S)
+        self.close()
 
     def close(self) -> None:
         """Close the pipe, of a process that has ended or was never started."""

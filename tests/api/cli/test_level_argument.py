@@ -15,6 +15,7 @@ from api.http import server
 from api.http.served_levels import ServedLevels
 from api.layers import MASK_NO_SURFACE, MASK_SHADOW
 from api.settings import Settings
+from api.workers.spawned import Spawned
 from terrain.errors import InputError
 from terrain.level.level import load_level
 from terrain.level.level_source import LevelSource
@@ -167,7 +168,7 @@ def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path | None, list[str]
     """The folder and the names of what would be served."""
     calls: list[tuple[Path | None, list[str]]] = []
 
-    def note(settings: Settings, levels: list[LevelSource], archives: list[Path]) -> None:
+    def note(settings: Settings, levels: list[LevelSource], archives: list[Path], spawned: Spawned | None) -> None:
         assert not archives
         calls.append((settings.levels, [level.path.stem for level in levels]))
 

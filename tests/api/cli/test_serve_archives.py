@@ -67,7 +67,7 @@ def test_archives_are_served_beside_levels_or_alone(run, tmp_path: Path, monkeyp
     calls: list[tuple[list[str], list[str]]] = []
     monkeypatch.setattr("api.cli.commands.serve.forbid_remote_reads", lambda: None)
     monkeypatch.setattr(
-        server, "serve", lambda settings, levels, archives: calls.append(([each.path.name for each in levels], archives))
+        server, "serve", lambda settings, levels, archives, _: calls.append(([each.path.name for each in levels], archives))
     )
     archive = write_tiles(tmp_path / "a.PMTiles", {(2, 0, 0): PNG})
     level = write_level(tmp_path, "hills")

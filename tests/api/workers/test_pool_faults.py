@@ -12,7 +12,7 @@ import pytest
 
 from api.errors import LaterError, SetAsideError, WorkerCrashError
 from api.workers import pool as pool_module
-from api.workers import worker_process
+from api.workers import spawned, worker_process
 from api.workers.expected_times import ExpectedTimes
 from api.workers.job_queue import JobQueue, PendingJob
 from api.workers.jobs import BlockJob, LevelKey, PictureRequest, PlanAnswer, RequestedSettings, SnapshotJob
@@ -33,7 +33,7 @@ def view(size: tuple[int, int] = (640, 480), **asked) -> SnapshotJob:
 
 def test_a_place_outlives_running_out_of_descriptors(monkeypatch: pytest.MonkeyPatch):
     """The pipe of the next process cannot be made, twice; then descriptors are free again."""
-    real, left = worker_process.get_context, [2]
+    real, left = spawned.get_context, [2]
 
     class NoPipes:
         def __getattr__(self, name):
@@ -50,7 +50,7 @@ def test_a_place_outlives_running_out_of_descriptors(monkeypatch: pytest.MonkeyP
 
     started: list[int] = []
     monkeypatch.setattr(pool_module, "FIRST_PAUSE_S", 0.01)
-    monkeypatch.setattr(worker_process, "get_context", context)
+    monkeypatch.setattr(spawned, "get_context", context)
 
     async def scenario(pool: Pool) -> None:
         await until(lambda: pool.ready)
