@@ -289,15 +289,17 @@ def sunlit(
     """Which nodes of a heightfield in a flat world see the sun: bool (rows, cols).
 
     ``height_m`` (rows, cols), row 0 north, NaN where there is no ground; ``cell_m`` is the side of a cell, or its (row, column)
-    sides; the azimuth is clockwise from north. Quads are cut along their higher diagonals.
+    sides; the azimuth is clockwise from north. Quads are cut along their higher diagonals. The outermost nodes' heights go on for
+    a cell: a ray that leaves the grid between two nodes of its rim is still over the cell of one.
     """
+    height_m = np.pad(height_m, 1, mode="edge")
     turn, row_m, col_m, t_cubics, column_cubics = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth, sine, cosine = np.radians(azimuth_deg), np.sin(np.radians(altitude_deg)), np.cos(np.radians(altitude_deg))
     level = turned_levels(height_m, turn, cosine, sine * np.cos(azimuth) * row_m, -sine * np.sin(azimuth) * col_m, cores)
     n, m = level.shape
     sheet = TurnedGrid(level, t_cubics, column_cubics, HIGHER_DIAGONALS)
     lit, _, _ = sweep_nodes(sheet, lines, (column_cubics[:, 0].min(), m), rows=(0, n), cores=cores)
-    return turn.back(lit)
+    return turn.back(lit)[1:-1, 1:-1]
 
 
 def flat_grid(

@@ -49,14 +49,22 @@ def to_sun(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
 
+def _nodes(height_m: np.ndarray, down_m: float, right_m: float, first: int = 0) -> np.ndarray:
+    row, col = np.indices(height_m.shape) + first
+    return np.stack([col * right_m, -row * down_m, height_m.astype(float)], axis=-1)
+
+
 def by_rays(
-    height_m: np.ndarray, cell_m: float, azimuth_deg: float, altitude_deg: float, falls: np.ndarray | None = None
+    height_m: np.ndarray, cell_m: float, azimuth_deg: float, altitude_deg: float, falls: np.ndarray | None = None, beyond: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which nodes see the sun, and where that does not hang on the rays' offset; over cuts, or along the higher diagonals."""
+    """Which nodes see the sun, and where that does not hang on the rays' offset; over cuts, or along the higher diagonals, when the
+    outermost heights go on for some cells ``beyond``.
+    """
     rows, cols = height_m.shape
-    col, row = np.meshgrid(np.arange(cols), np.arange(rows))
-    nodes = np.stack([col * cell_m, -row * cell_m, height_m.astype(float)], axis=-1)
-    rays, nodes = RayScene([sheet_of(nodes) if falls is None else Sheet(nodes, falls)]), nodes.reshape(-1, 3)
+    nodes = _nodes(height_m, cell_m, cell_m)
+    around = _nodes(np.pad(height_m, beyond, mode="edge"), cell_m, cell_m, first=-beyond)
+    caster = sheet_of(around) if falls is None else Sheet(nodes, falls)
+    rays, nodes = RayScene([caster]), nodes.reshape(-1, 3)
     answers = []
     for offsets in (0.25, 1.0, 4.0):
         start = nodes + [0.0, 0.0, offsets * rays.offset_m]
@@ -71,7 +79,22 @@ def test_mountains_at_every_azimuth_are_as_rays_see_them(azimuth):
         lit, sure = by_rays(heights, 10.0, azimuth, altitude)
         wrong = (sunlit(heights, 10.0, azimuth, altitude) != lit) & sure
         assert sure.mean() > 0.98 and (~lit).mean() > 0.2
-        assert wrong[1:-1, 1:-1].mean() < 5e-4, f"{wrong.mean():.2%} at {azimuth}"
+        assert wrong.mean() < 5e-4, f"{wrong.mean():.2%} at {azimuth}"
+
+
+@pytest.mark.parametrize("slant", [-30.0, -0.001, 0.0, 0.001, 10.0])
+@pytest.mark.parametrize("azimuth", [0.0, 90.0, 180.0, 270.0])
+def test_a_wall_across_the_grid_shades_its_outermost_lines_too(azimuth, slant):
+    """A wall of four cells from side to side under a sun at 45 degrees, however slightly the rays leave the grid: nodes nearer than
+    four cells to it, that is three (of its last node the shadow may be narrower under slanting rays).
+    """
+    heights = np.zeros((40, 40), np.float32)
+    heights[20] = 40.0
+    across = heights if azimuth in (0.0, 180.0) else np.ascontiguousarray(heights.T)
+    dark = ~sunlit(across, 10.0, azimuth + slant, 45.0)
+    shaded = dark.sum(axis=0 if across is heights else 1)
+    assert (np.delete(shaded, [0, 1, 2, -3, -2, -1]) == 3).all()
+    assert shaded[[0, -1]].min() >= (3 if abs(slant) < 1.0 else 1)
 
 
 def test_more_lines_leave_fewer_errors():
@@ -112,10 +135,9 @@ def test_turning_ground_and_sun_by_half_a_circle_turns_the_shadows(azimuth):
 
 def test_cells_that_are_no_squares():
     heights = mountains(160, seed=2)
-    rows, cols = np.mgrid[:160, :160]
-    sheet = np.stack([cols * 7.0, -rows * 13.0, heights.astype(float)], axis=-1)
-    rays = RayScene([sheet_of(sheet)])
-    lit = ~rays.blocked(sheet.reshape(-1, 3) + [0, 0, rays.offset_m], to_sun(157.0, 11.0)).reshape(160, 160)
+    rays = RayScene([sheet_of(_nodes(np.pad(heights, 1, mode="edge"), 13.0, 7.0, first=-1))])
+    nodes = _nodes(heights, 13.0, 7.0).reshape(-1, 3)
+    lit = ~rays.blocked(nodes + [0, 0, rays.offset_m], to_sun(157.0, 11.0)).reshape(160, 160)
     assert (sunlit(heights, (13.0, 7.0), 157.0, 11.0) != lit)[1:-1, 1:-1].mean() < 1e-3
 
 
@@ -160,7 +182,7 @@ def test_the_higher_diagonals_are_found_without_being_told(azimuth):
     heights = mountains(150, seed=12)
     own = swept(heights, azimuth, 8.0, None)
     assert (swept(heights, azimuth, 8.0, cuts_of(heights)) != own).mean() < 1e-4
-    assert (sunlit(heights, 10.0, azimuth, 8.0) == own).all()
+    assert (sunlit(heights, 10.0, azimuth, 8.0) == swept(np.pad(heights, 1, "edge"), azimuth, 8.0, None)[1:-1, 1:-1]).all()
     if azimuth % 90.0:  # else rays run along rows or columns, and cross no diagonal
         assert (swept(heights, azimuth, 8.0, ~cuts_of(heights)) != own).mean() > 1e-3
 
@@ -216,7 +238,7 @@ def test_one_horizon_answers_all_altitudes(azimuth):
     heights = mountains(160, seed=6)
     horizon = horizon_deg(heights, 10.0, azimuth)
     for altitude in (2.0, 8.0, 25.0, 50.0):
-        lit, sure = by_rays(heights, 10.0, azimuth, altitude)
+        lit, sure = by_rays(heights, 10.0, azimuth, altitude, beyond=0)
         wrong = ((horizon <= altitude) != lit) & sure
         assert wrong[2:-2, 2:-2].mean() < 2e-3
     for strip in (1, 2):
