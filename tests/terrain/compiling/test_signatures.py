@@ -1,0 +1,66 @@
+"""The list of recorded loops is that of the loops there are."""
+
+import importlib
+import pkgutil
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+import api
+import selector
+import shadows
+import terrain
+from terrain.compiling.ahead import PRODUCTS
+from terrain.compiling.signatures import recorded_signatures
+
+RARE = {
+    "api.overviews": "`skugga overviews`",
+    "shadows.sweep.columns": "levels of blocks",
+    "shadows.sweep.grid": "`skugga.shadow`",
+    "shadows.sweep.horizon": "horizons of arrays",
+    "shadows.truth.metrics": "`skugga compare`",
+    "terrain.casters.rays": "`skugga compare`",
+    "terrain.casters.sheet_rays": "`skugga compare`",
+    "terrain.effects.clouds": "levels with clouds",
+    "terrain.effects.snow": "levels with snow",
+    "terrain.effects.water": "levels with water",
+    "terrain.gbuffer.covered_nodes": "very fine filters",
+    "terrain.gbuffer.map_columns": "levels of blocks",
+    "terrain.ground.cells": "levels of blocks",
+    "terrain.ground.columns": "levels of blocks",
+    "terrain.ground.decimation": "levels that ask for a saving",
+    "terrain.ground.imagery": "levels with imagery",
+    "terrain.ground.surface": "points on magnified ground",
+    "terrain.sky": "levels with water",
+    "terrain.trees.canopy": "levels with a canopy",
+    "terrain.viewpoint": "cameras that Skugga places",
+}
+"""Modules with stored loops that no product has recorded, and who needs these: they are compiled when they are called."""
+
+
+def stored_loops() -> set[str]:
+    """Module and name of every loop that is stored for other processes."""
+    found = set()
+    for package in (terrain, shadows, selector, api):
+        for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if info.name.endswith("__main__"):
+                continue
+            for each in vars(importlib.import_module(info.name)).values():
+                if isinstance(each, Dispatcher) and each.py_func.__module__ == info.name and each._cache._enabled:
+                    found.add(f"{info.name}:{each.py_func.__qualname__}")
+    return found
+
+
+@pytest.mark.parametrize("product", PRODUCTS)
+def test_what_is_recorded_can_be_compiled(product):
+    recorded = recorded_signatures([product])
+    assert recorded
+    for each in recorded:
+        names = each.dispatcher().py_func.__code__.co_argcount
+        assert len(each.argument_types()) == names, each.loop
+
+
+def test_all_stored_loops_are_recorded():
+    """A new one, or one that has another name: ``python scripts/record_signatures.py``."""
+    left = stored_loops() - {each.loop for each in recorded_signatures()}
+    assert {each.partition(":")[0] for each in left} == set(RARE)
