@@ -17,6 +17,7 @@ would be drawn as black and white rims. Cast shadows go by the true ground in bo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +34,12 @@ TINT_LOW_M, TINT_STEP_M, TINT_COUNT = -512.0, 8.0, 1193
 """Heights at which a ramp is tabulated: -512 to 9,024 m. Beyond them its colours stay as they are."""
 
 FINE_CELL_M = 2.5
-"""Ground of smaller cells, and without a forest, is taken to be a city's surface."""
+"""Ground of smaller cells, unless it is a wood, is taken to be a city's surface."""
+
+WOOD_SHARE = 0.25
+"""Share of the ground under crowns from which on it is a wood: canopy rasters give 0.02 in Gothenburg, 0.09 in Bilbao, and 0.34 in a
+wood in Quebec, whose crowns stand apart.
+"""
 
 EXAGGERATION_POWER, MOST_EXAGGERATION = 0.25, 3.0
 """How slopes grow with the side of a map's pixels beyond ``exaggerates_from_m``, and by how much at the most."""
@@ -130,14 +136,14 @@ STYLES = {
 """The named styles."""
 
 
-def style_of(level: Level, spec: StyleSpec, cell_m: float) -> Style:
-    """The style that is asked for; ``auto`` is ``urban`` on a raster of fine cells or upright blocks without a forest, else
-    ``natural``.
+def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_share: Callable[[], float]) -> Style:
+    """The style that is asked for; ``auto`` is ``urban`` on a raster of fine cells or upright blocks, unless it is a wood by the
+    share of the ground under crowns, and else ``natural``.
     """
     name = spec.name
     if name == "auto":
         fine = level.terrain.surface == "blocks" or (level.terrain.source is not None and cell_m < FINE_CELL_M)
-        name = "urban" if fine and not level.forest else "natural"
+        name = "urban" if fine and crown_share() < WOOD_SHARE else "natural"
     style = STYLES[name]
     if spec.ramp is not None:
         style = replace(style, ramp=spec.ramp, has_climate=False)
