@@ -37,8 +37,8 @@ FINE_CELL_M = 2.5
 """Ground of smaller cells, unless it is a wood, is taken to be a city's surface."""
 
 WOOD_SHARE = 0.25
-"""Share of the ground under crowns from which on it is a wood: canopy rasters give 0.02 in Gothenburg, 0.09 in Bilbao, and 0.34 in a
-wood in Quebec, whose crowns stand apart.
+"""Share of the ground under crowns from which on it is a wood: canopy rasters give 0.02 in Gothenburg, 0.09 in Bilbao, and 0.34 in
+a wood in Quebec, whose crowns stand apart.
 """
 
 EXAGGERATION_POWER, MOST_EXAGGERATION = 0.25, 3.0
