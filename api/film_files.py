@@ -1,29 +1,28 @@
-"""Films as files: animated WebP, MP4, and sequences of PNG, each written whole or not at all, one frame at a time."""
+"""Films as files: animated WebP, MP4, and sequences of PNG, each written whole or not at all, some frames at a time."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from PIL import Image
 
+from api.animated_webp import add_frame, animation_frame, changes, write_head, write_length
 from api.png import encode_png
 from terrain.errors import Fault, InputError
 from terrain.whole_files import replaced_together, replaced_whole
 
 SEQUENCE_SUFFIX = ".png"
 FILM_SUFFIXES = ".webp", ".mp4"
-FILM_WORDS = "a film: day.webp (lossless), day.mp4, or frames as frames/%04d.png"
+FILM_WORDS = "a film: day.webp, day.mp4, or frames as frames/%04d.png"
 
 MOST_WEBP_PX = 16383
 """A side of what WebP holds."""
-
-WEBP_METHOD, WEBP_EFFORT = 2, 50
-"""How hard lossless WebP looks for what is smaller: more takes longer, and gains one per cent (docs/films.md)."""
 
 MP4_QUALITY = "17"
 """x264's constant rate factor: what is lost is hardly seen."""
@@ -33,6 +32,10 @@ TICKS_PER_S = 90_000
 
 _BT709 = 1
 """In the tables of H.273: primaries, transfer and matrix."""
+
+OnFrame = Callable[[int, int], None]
+T = TypeVar("T")
+R = TypeVar("R")
 
 _NUMBER = re.compile(r"%(?:0([1-9]))?d")
 
@@ -68,65 +71,74 @@ def film_files(path: Path, frames: int) -> list[Path]:
     return [path.with_name(path.name % number) for number in range(1, frames + 1)]
 
 
-def write_film(path: Path, colors: Iterable[np.ndarray], frames: int, fps: float) -> None:
-    """Write a film of ``frames`` pictures, uint8 (rows, cols, 3), which are taken one after the other.
+def write_film(
+    path: Path, colors: Iterable[np.ndarray], frames: int, fps: float, lossless: bool = False, on_frame: OnFrame | None = None
+) -> None:
+    """Write a film of ``frames`` pictures, uint8 (rows, cols, 3), which are taken one after the other, and compressed on all cores.
 
-    WebP and PNG lose nothing. An MP4 is H.264 in BT.709 of limited range with halved chroma; since that takes even sides, the last
-    row and the last column of odd ones are there twice. Whatever ends this early leaves what lay there before.
+    PNG loses nothing, nor does WebP where it is to be ``lossless``. An MP4 is H.264 in BT.709 of limited range with halved chroma;
+    since that takes even sides, the last row and the last column of odd ones are there twice. ``on_frame(written, bytes)`` is
+    called with the frames that are written, and how large they are together. Whatever ends this early leaves what lay there before.
 
     Raises ``OSError`` with the path, and what ``colors`` raises.
     """
+    count = _Count(on_frame)
     if path.suffix.lower() == SEQUENCE_SUFFIX:
         with replaced_together(path.parent) as folder:
-            for file, color in zip(film_files(path, frames), colors, strict=True):
-                (folder / file.name).write_bytes(encode_png(color))
+            encoded = _on_all_cores(encode_png, colors)
+            for file, content in zip(film_files(path, frames), encoded, strict=True):
+                (folder / file.name).write_bytes(content)
+                count.add(len(content))
         return
     with replaced_whole(path) as part:
         if path.suffix.lower() == ".webp":
-            _write_webp(part, iter(colors), frames, fps)
+            _write_webp(part, colors, fps, lossless, count)
         else:
-            _write_mp4(part, colors, fps)
+            _write_mp4(part, colors, fps, count)
 
 
-def _write_webp(path: Path, colors: Iterator[np.ndarray], frames: int, fps: float) -> None:
-    options = {
-        "save_all": True,
-        "lossless": True,
-        "method": WEBP_METHOD,
-        "quality": WEBP_EFFORT,
-        "duration": 1000.0 / fps,
-        "loop": 0,
-    }
-    with path.open("wb") as file:  # Pillow leaves a file open that it has opened itself, where it is interrupted
-        _Sequence(colors, frames).save(file, "WEBP", **options)
-    next(colors, None)  # whoever makes them learns that the last one was taken
+class _Count:
+    """Frames and bytes that are written."""
+
+    def __init__(self, on_frame: OnFrame | None) -> None:
+        self._on_frame, self._frames, self._bytes = on_frame, 0, 0
+
+    def add(self, content: int, frames: int = 1) -> None:
+        """So many bytes more, of so many frames."""
+        self._frames, self._bytes = self._frames + frames, self._bytes + content
+        if self._on_frame is not None:
+            self._on_frame(self._frames, self._bytes)
 
 
-class _Sequence(Image.Image):
-    """Pictures that Pillow takes one at a time: it would make a list of others."""
+def _on_all_cores(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    """What comes of each item in order; about as many as there are cores are worked on, and held, at a time."""
+    from terrain.compiled import CORES
 
-    def __init__(self, colors: Iterator[np.ndarray], frames: int) -> None:
-        super().__init__()
-        self.n_frames = frames
-        self._colors, self._at = colors, 0
-        self._load()
-
-    def seek(self, frame: int) -> None:
-        """Go on to the next frame; there is no way back."""
-        if frame == self._at + 1:
-            self._at = frame
-            self._load()
-
-    def tell(self) -> int:
-        """The number of the frame."""
-        return self._at
-
-    def _load(self) -> None:
-        picture = Image.fromarray(next(self._colors))
-        self.im, self._mode, self._size = picture.im, picture.mode, picture.size
+    with ThreadPoolExecutor(CORES, "skugga-encode") as threads:
+        waiting: deque[Future[R]] = deque()
+        try:
+            for item in items:
+                waiting.append(threads.submit(work, item))
+                del item
+                if len(waiting) > CORES:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            threads.shutdown(cancel_futures=True)
 
 
-def _write_mp4(path: Path, colors: Iterable[np.ndarray], fps: float) -> None:
+def _write_webp(path: Path, colors: Iterable[np.ndarray], fps: float, lossless: bool, count: _Count) -> None:
+    with path.open("wb") as file:
+        for change, content in _on_all_cores(lambda change: (change, animation_frame(change, lossless)), changes(colors, fps)):
+            if file.tell() == 0:
+                write_head(file, change.color.shape[1::-1])
+            add_frame(file, content)
+            count.add(len(content), change.frames)
+        write_length(file)
+
+
+def _write_mp4(path: Path, colors: Iterable[np.ndarray], fps: float, count: _Count) -> None:
     av = _av()
     with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
         stream = None
@@ -141,9 +153,17 @@ def _write_mp4(path: Path, colors: Iterable[np.ndarray], fps: float) -> None:
                 context.color_primaries = context.color_trc = context.colorspace = context.color_range = _BT709
             frame = av.VideoFrame.from_ndarray(color, format="rgb24").reformat(format="yuv420p", dst_colorspace="ITU709")
             frame.pts = number
-            container.mux(stream.encode(frame))
+            _mux(container, stream.encode(frame), count)
         assert stream is not None
-        container.mux(stream.encode(None))
+        _mux(container, stream.encode(None), count)
+
+
+def _mux(container: Any, packets: list[Any], count: _Count) -> None:
+    """Write packets, each of which is a frame. x264 looks at some dozens of frames before it gives the first one."""
+    for packet in packets:
+        size = packet.size  # what is muxed is taken away
+        container.mux(packet)
+        count.add(size)
 
 
 def _later_frames(path: Path, frames: int) -> list[Path]:

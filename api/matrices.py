@@ -14,12 +14,16 @@ from api.workers.block_tiles import TILE_PX
 from terrain.cache import MIB, cached
 from terrain.geo.grid import MapView, crs_of_tiles, step_at_anchor_m, tile_grid
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transformer
+from terrain.scene import Scene
 
 LEVEL_TILES = 0.5
 """A level's longest side at the first zoom, about, in tiles."""
 
 OVERZOOMS = 3
 """Zooms past the one whose pixels are nearest in size to the source's cells."""
+
+CASTER_DETAIL_M = 4.0
+"""Trees and meshes are served as far as cells of this side would be: at the last zoom a house of 10 m is some 20 pixels wide."""
 
 LonLatBounds = tuple[float, float, float, float]
 """West, south, east, north in degrees; east may pass 180."""
@@ -58,11 +62,17 @@ def matrix_set_of(name: str) -> TileMatrixSet:
     return served[name]
 
 
+def detail_m(scene: Scene) -> float:
+    """The side of the smallest thing, metres, that tiles of a level are served for: a cell of its raster, or what stands there."""
+    cell_m, level = scene.elevation.cell_size_m(scene.world.metres_per_unit), scene.loaded.level
+    return min(cell_m, CASTER_DETAIL_M) if level.forest or level.meshes else cell_m
+
+
 def zoom_range(matrix_set: TileMatrixSet, world: World, bounds_lon_lat: LonLatBounds, cell_m: float) -> ZoomRange | None:
     """The zooms at which a level is served; ``None`` where it lies outside of the tile matrix set's area.
 
     The first is the one at which the level's longest side is nearest to ``LEVEL_TILES``, so that one or two tiles show
-    it; the last is ``OVERZOOMS`` past the one whose pixels on the ground at the anchor are nearest to its cells' size.
+    it; the last is ``OVERZOOMS`` past the one whose pixels on the ground at the anchor are nearest to ``cell_m`` (``detail_m``).
     """
     if not _within_area(matrix_set, bounds_lon_lat):
         return None

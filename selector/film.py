@@ -2,23 +2,28 @@
 
 A film has one time, that of the scene: the sun, the clock of what moves, and the camera go by it. Frame ``n`` is ``n`` steps after
 the first one. Plans are a ``Replanner``'s: a choice of algorithms stays while it serves, and a switch is spread over some frames.
-Any other frame is, to the bit, the picture that ``render_frame`` makes of its moment with its plan.
+Any other frame is the picture that ``render_frame`` makes of its moment with its plan; that of bare ground is drawn faster
+(``shadows.ground_pictures``).
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 
 import numpy as np
 
 from selector.film_request import MOST_FRAMES, FilmRequest
 from selector.formatting import format_list
 from selector.replanning import PlanTransition, Replanner, casting, choices_of, mixed_pictures
+from shadows.ground_pictures import needs_no_gl, shown_color
 from shadows.plan import Plan
-from shadows.render import Frame, render_frame
+from shadows.render import render_frame
 from terrain.camera_path import camera_path
 from terrain.describe import describe
 from terrain.errors import InputError
@@ -65,7 +70,7 @@ class PlanSwitch:
 
 @dataclass(frozen=True, eq=False)
 class FilmFrame:
-    """A frame of a film: ``color`` uint8 (rows, cols, 3), row 0 the upper one; ``drawn`` what its plan gave.
+    """A frame of a film by its ``plan``: ``color`` uint8 (rows, cols, 3), row 0 the upper one.
 
     In a switch that is under way ``handover`` is the plan that is left, and the share of the pixels that show the new one;
     ``switch`` is there in the first frame of another choice.
@@ -73,14 +78,9 @@ class FilmFrame:
 
     moment: FrameMoment
     color: np.ndarray
-    drawn: Frame
+    plan: Plan
     handover: PlanTransition | None = None
     switch: PlanSwitch | None = None
-
-    @property
-    def plan(self) -> Plan:
-        """The frame's plan."""
-        return self.drawn.plan
 
 
 def frame_moments(scene: Scene, request: FilmRequest, most_frames: int = MOST_FRAMES, only: int | None = None) -> list[FrameMoment]:
@@ -120,29 +120,57 @@ def _size(request: FilmRequest) -> tuple[int, int]:
 
 
 def film_frames(
-    scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], replanner: Replanner | None = None
+    scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], replanner: Replanner | None = None, ahead: int = 0
 ) -> Iterator[FilmFrame]:
     """The frames of a film at ``frame_moments``, each drawn when it is asked for; nothing is kept of those before it.
 
-    ``scene`` has the sun and the style of the film, where its moments do not say otherwise; ``replanner`` makes the plans.
+    ``scene`` has the sun and the style of the film, where its moments do not say otherwise; ``replanner`` makes the plans. Up to
+    ``ahead`` further frames are drawn meanwhile in other threads, where that needs no OpenGL: plans are made one after the other.
     Raises as ``render_frame`` and ``Replanner.plan`` do.
     """
     replanner = replanner or Replanner()
+    if ahead == 0:
+        yield from (frame() for frame in _planned(scene, request, moments, replanner, None))
+        return
+    with ThreadPoolExecutor(ahead, "skugga-frames") as threads:
+        waiting: deque[Callable[[], FilmFrame]] = deque()
+        try:
+            for number, frame in enumerate(_planned(scene, request, moments, replanner, threads)):
+                waiting.append(frame)
+                if number == 0 or len(waiting) > ahead:  # what all frames share is made for the first one
+                    yield waiting.popleft()()
+            while waiting:
+                yield waiting.popleft()()
+        finally:
+            threads.shutdown(cancel_futures=True)
+
+
+def _planned(
+    scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], replanner: Replanner, threads: ThreadPoolExecutor | None
+) -> Iterator[Callable[[], FilmFrame]]:
+    """What gives each frame of a film: it is drawn then, or has been by one of some ``threads``."""
     level, overrides = scene.loaded.level, dict(request.overrides)
     before = None if replanner.state is None else replanner.state.plan
     for moment in moments:
         now = moment.scene(scene)
         plan = replanner.plan(describe(now, moment.view, request.view_name), level, overrides)
-        drawn = render_frame(now, moment.view, plan)
-        color = drawn.color
-        if replanner.handover is not None:
-            left = render_frame(now, moment.view, replanner.handover.plan)
-            color = mixed_pictures(left.color, color, replanner.share(left.visibilities, drawn.visibilities))
         switch = None if before is None else _switch(moment, before, plan, replanner.why)
         if switch is not None:
             log.info("%s: %s instead of %s: %s", moment.words, switch.after, switch.before, switch.why)
-        yield FilmFrame(moment, color, drawn, replanner.handover, switch)
         before = plan
+        if replanner.handover is not None:
+            drawn, left = (render_frame(now, moment.view, each) for each in (plan, replanner.handover.plan))
+            color = mixed_pictures(left.color, drawn.color, replanner.share(left.visibilities, drawn.visibilities))
+            yield partial(FilmFrame, moment, color, plan, replanner.handover, switch)
+            continue
+        draw: Callable[[], np.ndarray] = partial(shown_color, now, moment.view, plan)
+        if threads is not None and moment.number > 0 and needs_no_gl(now, moment.view, plan):
+            draw = threads.submit(draw).result
+        yield partial(_drawn, moment, draw, plan, switch)
+
+
+def _drawn(moment: FrameMoment, draw: Callable[[], np.ndarray], plan: Plan, switch: PlanSwitch | None) -> FilmFrame:
+    return FilmFrame(moment, draw(), plan, None, switch)
 
 
 def _switch(moment: FrameMoment, before: Plan, after: Plan, why: str | None) -> PlanSwitch | None:

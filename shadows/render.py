@@ -33,7 +33,7 @@ from terrain.scene import Scene
 from terrain.shading import albedo_of, open_sky, shade, srgb_encoded
 from terrain.sky import sky
 
-RENDERER_VERSION = 2
+RENDERER_VERSION = 3
 """Raised by hand with every change by which any picture becomes another one: pyramids of before are drawn anew then."""
 
 SHADING_PASS = "shading"

@@ -86,7 +86,7 @@ class Scene:
     def style(self) -> Style:
         """How the scene is shaded."""
         cell_m = self.elevation.cell_size_m(self.world.metres_per_unit)
-        return style_of(self.loaded.level, self.styled or self.loaded.level.style, cell_m)
+        return style_of(self.loaded.level, self.styled or self.loaded.level.style, cell_m, lambda: self.objects.crown_share)
 
     @property
     def light_names(self) -> tuple[str, ...]:

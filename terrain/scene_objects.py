@@ -128,6 +128,14 @@ class SceneObjects:
         return tuple(found)
 
     @cached_property
+    def crown_share(self) -> float:
+        """Crowns' areas as a share of the ground's: more than what lies under them, where they overlap."""
+        if self.trees is None:
+            return 0.0
+        ground_m2 = self.elevation.rows * self.elevation.cols * self.elevation.cell_size_m(self.world.metres_per_unit) ** 2
+        return float(np.pi / 4.0 * np.sum(np.square(self.trees.crown_m, dtype=np.float64)) / ground_m2)
+
+    @cached_property
     def tallest_m(self) -> float:
         """How far anything rises above the ground it stands on, metres; 0 on bare ground."""
         tree_m = 0.0 if self.trees is None else float(self.trees.height_m.max())

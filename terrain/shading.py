@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrain.cache import MIB, cached
+from terrain.climate import Ramp
 from terrain.compiled import in_shares
 from terrain.gbuffer.bare_ground import BareGround
 from terrain.gbuffer.geometry import GeometryBuffer
@@ -22,6 +23,7 @@ from terrain.scene import Scene
 from terrain.shading_loops import (
     LightHere,
     Look,
+    Tints,
     albedo_rows,
     encode_rows,
     luminance_of,
@@ -34,6 +36,9 @@ from terrain.style import TINT_COUNT, tint_table, veil_table
 
 LEVEL_ALBEDO = 0.42
 """Linear albedo of ground without any relief, which has no heights to tint."""
+
+NORTH_EARTH, NO_DIRECTION = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+"""The earth's axis; and what stands for it where no latitude counts."""
 
 SKY_SHARE = 0.28
 """Irradiance from the whole sky as a share of the sun's on level ground, for a sun down to ``EXPOSURE_FLOOR_DEG``."""
@@ -84,20 +89,36 @@ def daylight_of(scene: Scene) -> Daylight:
     return Daylight(np.zeros(3) if scene.loaded.level.weather.overcast else sun, (1.0 - cover) * clear + cover * grey)
 
 
-def look_of(scene: Scene, view: MapView | PerspectiveView) -> Look:
-    """A scene's style. Clouds take the sky its colour and its bright side; without a sun it has neither, and there is no air over
-    the ground; a perspective view has no veil by height.
+def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None) -> Look:
+    """A scene's style, with the way north in a ``frame`` where latitudes count. Clouds take the sky its colour and its bright side;
+    without a sun it has neither, and there is no air over the ground; a perspective view has no veil by height.
     """
-    style, (low, high) = scene.style, scene.height_range_m
+    style = scene.style
     clear = 0.0 if scene.sun is None else 1.0 - scene.loaded.level.weather.cloud_cover
     in_map = isinstance(view, MapView)
     steeper = style.slope_exaggeration_at(map_pixel_m(scene.world, view)) if isinstance(view, MapView) else style.slope_exaggeration
     return Look(
-        tint_table(style.ramp) if high > low else np.full((TINT_COUNT, 3), LEVEL_ALBEDO),
+        tints_of(scene), NO_DIRECTION if frame is None else frame.directions_from_earth(NORTH_EARTH),
         style.sky_greying * clear, style.sky_towards_sun * clear, style.terminator, steeper, style.slope_limit,
         veil_table(style.aerial if in_map and scene.sun is not None else 0.0, style.aerial_m),
         MAP_FOLIAGE if in_map else 1.0,
     )  # fmt: skip
+
+
+def tints_of(scene: Scene) -> Tints:
+    """The colours of a scene's ground. A flat world lies at no latitude."""
+    style, (low, high) = scene.style, scene.height_range_m
+    return _tints(style.ramp, style.has_climate and not scene.world.flat) if high > low else _tints(None, False)
+
+
+@cached("process", 16 * MIB)
+def _tints(ramp: Ramp | None, has_climate: bool) -> Tints:
+    colors = np.full((1, TINT_COUNT, 3), LEVEL_ALBEDO) if ramp is None else tint_table(ramp, has_climate)
+    channels = np.moveaxis(colors, -1, 0)
+    table = np.stack([*channels, luminance_of(*channels)], axis=1)
+    differ = (table[1:] != table[:-1]).any(axis=1)
+    from_on = np.where(differ.any(axis=1), differ.argmax(axis=1), TINT_COUNT)
+    return Tints(np.ascontiguousarray(table), from_on.astype(np.int32))
 
 
 def in_shade(albedo: np.ndarray, look: Look) -> np.ndarray:
@@ -129,7 +150,7 @@ def shade(
         albedo = buffer.albedo if scene.loaded.level.water is None else albedo_of(buffer, scene)
     out = np.zeros((*buffer.there.shape, 3), np.float32)
     in_shares(
-        len(out), shade_rows, buffer.shown, look_of(scene, buffer.view), light_here(scene, buffer.frame),
+        len(out), shade_rows, buffer.shown, look_of(scene, buffer.view, buffer.frame), light_here(scene, buffer.frame),
         scene.world.up_from(buffer.frame), LEAF_GLOW, albedo, sunlight, skylight, lamplight, out,
     )  # fmt: skip
     return out
@@ -151,7 +172,7 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
         light = light_here(scene, ground.frame)
         shade_bare_ground(
             ground.there[ground.window], ground.height_m, ground.normal_frame, ground.up_frame, ground.sky_share,
-            sunlight[ground.window], look_of(scene, ground.view), light, _srgb_table(),
+            sunlight[ground.window], look_of(scene, ground.view, ground.frame), light, _srgb_table(),
             out[ground.window],
         )  # fmt: skip
     return out
@@ -173,7 +194,10 @@ def night_of(scene: Scene) -> float:
 def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
     """Linear albedo (rows, cols, 3) float32 of a buffer's points, the ground's tint and water included: a new array."""
     albedo = np.zeros((*buffer.there.shape, 3), np.float32)
-    in_shares(len(albedo), albedo_rows, buffer.there, buffer.height_m, buffer.albedo, look_of(scene, buffer.view).tint, albedo)
+    in_shares(
+        len(albedo), albedo_rows, buffer.shown, scene.world.up_from(buffer.frame), buffer.albedo,
+        look_of(scene, buffer.view, buffer.frame), albedo,
+    )  # fmt: skip
     if scene.loaded.level.water is not None:
         water = water_in(buffer, scene)
         albedo[water if buffer.albedo is None else water & np.isnan(buffer.albedo[..., 0])] = scene.style.water

@@ -46,12 +46,23 @@ class LightHere(NamedTuple):
     night: float
 
 
-class Look(NamedTuple):
-    """What a style makes of ground and light, as the loops take it: linear colours (n, 3) by height, greying and direction of the
-    sky's light, the slopes' factor and limit, the veil's share (n,) by height, and a factor of foliage's albedo.
+class Tints(NamedTuple):
+    """The ground's linear colours and their luminances (m, 4, n), at even steps of the latitude's sine from -1 to 1 (m = 1: one for
+    all latitudes), and by height; and from which height on (m - 1,) a row differs from the next one.
     """
 
-    tint: np.ndarray
+    table: np.ndarray
+    differs_from: np.ndarray
+
+
+class Look(NamedTuple):
+    """What a style makes of ground and light, as the loops take it: tints, the direction (3,) of the earth's axis in a frame,
+    greying and direction of the sky's light, the slopes' factor and limit, the veil's share (n,) by height, and a factor of
+    foliage's albedo.
+    """
+
+    tints: Tints
+    north_frame: np.ndarray
     sky_greying: float
     sky_towards_sun: float
     terminator: float
@@ -152,7 +163,7 @@ def shade_rows(first, last, shown, look, light_here, centre, glow, albedo, sunli
     """Some rows of linear display colour of what a buffer has ``shown``; ``glow`` is the leaves' share of light (``LEAF_GLOW``)."""
     # What is None is decided when this is compiled: each variant holds the code of what it is given alone.
     there, kind, position, height, normal = shown
-    tint, greying, towards, terminator, exaggeration, limit, veils, foliage = look
+    tints, north, greying, towards, terminator, exaggeration, limit, veils, foliage = look
     has_sun, to_sun, sun, sky, night = light_here
     as_it_is = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
     for i in range(first, last):
@@ -179,7 +190,7 @@ def shade_rows(first, last, shown, look, light_here, centre, glow, albedo, sunli
             direct = (leaf + (1.0 - leaf) * max(facing, 0.0)) * (_direct_at(sine) * sunlight[i, j])
             at, beyond = _place_in_tint(height[i, j])
             veil = veils[at] + (veils[at + 1] - veils[at]) * beyond
-            red, green, blue = _tinted(tint, at, beyond)
+            red, green, blue = _tinted(tints.table, north[0] * ux + north[1] * uy + north[2] * uz, at, beyond)
             if albedo is not None:
                 if np.isfinite(albedo[i, j, 0]):
                     red, green, blue = albedo[i, j, 0], albedo[i, j, 1], albedo[i, j, 2]
@@ -209,13 +220,35 @@ def _place_in_tint(height):
 
 
 @internal
-def _tinted(tint, at, beyond):
-    """The ramp's colour there."""
+def _place_in_latitudes(sine, rows):
+    """Which of the tints' rows lies below a latitude's sine, and by what share of the way to the next it is beyond."""
+    share = min(max(0.5 * (sine + 1.0) * (rows - 1), 0.0), rows - 1.0)
+    at = np.int32(min(share, rows - 2.0) if share > 0.0 else 0.0)  # any where there is no ground
+    return at, share - at
+
+
+@internal
+def _tinted(table, sine, at, beyond):
+    """The ground's colour at a latitude's sine, there."""
+    if table.shape[0] == 1:
+        return _tint_at(table, 0, 0, at, beyond), _tint_at(table, 0, 1, at, beyond), _tint_at(table, 0, 2, at, beyond)
+    row, further = _place_in_latitudes(sine, table.shape[0])
     return (
-        tint[at, 0] + (tint[at + 1, 0] - tint[at, 0]) * beyond,
-        tint[at, 1] + (tint[at + 1, 1] - tint[at, 1]) * beyond,
-        tint[at, 2] + (tint[at + 1, 2] - tint[at, 2]) * beyond,
-    )
+        _tint_between(table, row, further, 0, at, beyond), _tint_between(table, row, further, 1, at, beyond),
+        _tint_between(table, row, further, 2, at, beyond),
+    )  # fmt: skip
+
+
+@internal
+def _tint_at(table, row, k, at, beyond):
+    here = table[row, k, at]
+    return here + (table[row, k, at + 1] - here) * beyond
+
+
+@internal
+def _tint_between(table, row, further, k, at, beyond):
+    here = _tint_at(table, row, k, at, beyond)
+    return here + (_tint_at(table, row + 1, k, at, beyond) - here) * further
 
 
 @compiled
@@ -223,7 +256,7 @@ def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, ligh
     """``shade_rows`` of bare ground and ``srgb_encoded`` of that, row by row: in loops that compile to vector instructions, and
     what is looked up in tables between them.
     """
-    tint, greying, towards, terminator, exaggeration, limit, veils, _ = look
+    tints, north, greying, towards, terminator, exaggeration, limit, veils, _ = look
     _, to_sun, sun, sky, night = light_here
     cols = there.shape[1]
     direct, sky_here, sines, veil = np.empty(cols), np.empty(cols), np.empty(cols), np.empty(cols)
@@ -231,7 +264,7 @@ def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, ligh
     as_it_is = exaggeration == 1.0 and limit >= NO_SLOPE_LIMIT
     beyond, at = np.empty(cols), np.empty(cols, np.int32)
     own, grey, step = np.empty(cols), np.empty(cols), np.empty(cols, np.int32)
-    channels, greys = _by_channel(tint)
+    latitude, further, rows = np.empty(cols), np.empty(cols), np.zeros(cols, np.int32)
     for i in range(there.shape[0]):
         _face(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
         high_everywhere = True  # a hole has no sine
@@ -251,22 +284,16 @@ def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, ligh
         _sun_on_row(facing, sines, terminator, direct)
         _place_row(height[i], beyond, at)
         _look_up_tint(veils, at, beyond, veil)
-        _look_up_tint(greys, at, beyond, grey)
+        is_one, row = tints.table.shape[0] == 1, 0
+        if not is_one:
+            _face(up[i], (north[0], north[1], north[2]), latitude)
+            _place_row_in_latitudes(latitude, tints.table.shape[0], further, rows)
+            is_one, row = _is_one_climate(tints.differs_from, there[i], rows, at)
+        _look_up_colors(tints.table, is_one, row, 3, rows, further, at, beyond, grey)
         for k in range(3):
-            _look_up_tint(channels[k], at, beyond, own)
+            _look_up_colors(tints.table, is_one, row, k, rows, further, at, beyond, own)
             _srgb_steps_of(own, grey, greying, sun[k], sky[k], direct, seen, veil, sky_here, AIR[k], table.size, step)
             _look_up_srgb(there[i], step, table, out[i, :, k])
-
-
-@internal
-def _by_channel(tint):
-    """A ramp's colours (3, n), and their luminances (n,)."""
-    channels, greys = np.empty((3, len(tint))), np.empty(len(tint))
-    for n in range(len(tint)):
-        greys[n] = luminance_of(tint[n, 0], tint[n, 1], tint[n, 2])
-        for k in range(3):
-            channels[k, n] = tint[n, k]
-    return channels, greys
 
 
 @internal
@@ -313,6 +340,36 @@ def _place_row(heights, beyond, at):
 
 
 @internal
+def _place_row_in_latitudes(sines, count, further, rows):
+    """``_place_in_latitudes`` of a row."""
+    for j in range(sines.size):
+        rows[j], further[j] = _place_in_latitudes(sines[j], count)
+
+
+@internal
+def _is_one_climate(differs_from, there, rows, at):
+    """Whether one of the tints' rows serves all ground of a row of pixels, and which."""
+    first, last, highest = np.int32(differs_from.size), np.int32(-1), np.int32(0)
+    for j in range(at.size):
+        if there[j]:
+            first, last, highest = min(first, rows[j]), max(last, rows[j]), max(highest, at[j])
+    for n in range(first, last + 1):
+        if highest + 1 >= differs_from[n]:
+            return False, 0
+    return True, first if last >= 0 else 0
+
+
+@internal
+def _look_up_colors(table, is_one, row, k, rows, further, at, beyond, out):
+    """A channel of the tints of a row of pixels: of one row of the table, or between two for each pixel."""
+    if is_one:
+        _look_up_tint(table[row, k], at, beyond, out)
+    else:
+        for j in range(at.size):
+            out[j] = _tint_between(table, rows[j], further[j], k, at[j], beyond[j])
+
+
+@internal
 def _look_up_tint(tints, at, beyond, out):
     for j in range(at.size):
         here = tints[at[j]]
@@ -339,14 +396,21 @@ def _look_up_srgb(there, step, table, out):
 
 
 @compiled
-def albedo_rows(first, last, there, height, albedo, tint, out):
-    """Some rows of linear albedo: the tint of heights, but where there is an albedo."""
+def albedo_rows(first, last, shown, centre, albedo, look, out):
+    """Some rows of linear albedo of what a buffer has ``shown``: the tints of places, but where there is an albedo."""
+    there, _, position, height, _ = shown
+    tints, north = look.tints, look.north_frame
     for i in range(first, last):
         for j in range(there.shape[1]):
             if not there[i, j]:
                 continue
+            p = position[i, j]
+            ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
+            length = np.sqrt(ux * ux + uy * uy + uz * uz)
+            ux, uy, uz = _rounded(ux / length), _rounded(uy / length), _rounded(uz / length)
             at, beyond = _place_in_tint(height[i, j])
-            out[i, j, 0], out[i, j, 1], out[i, j, 2] = _tinted(tint, at, beyond)
+            sine = north[0] * ux + north[1] * uy + north[2] * uz
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = _tinted(tints.table, sine, at, beyond)
             if albedo is not None:
                 if np.isfinite(albedo[i, j, 0]):
                     for k in range(3):

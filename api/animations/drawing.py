@@ -44,4 +44,4 @@ def frames_drawn_by(pool: Pool, level_now: Callable[[str], Awaitable[LevelKey]])
 
 def write_animation(path: Path, frames: Iterable[np.ndarray], order: FilmOrder) -> None:
     """Write a film. Raises ``OSError``."""
-    write_film(path, frames, order.span.frames, order.fps)
+    write_film(path, frames, order.span.frames, order.fps, lossless=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time as clock
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from api.film_span import USUAL_FPS, film_span
 from selector.film import FilmFrame, film_frames, frame_moments
 from selector.film_request import FilmRequest
 from selector.replanning import Replanner
+from terrain.compiled import CORES
 from terrain.errors import InputError, printable
 from terrain.level.camera_file import load_camera_path
 from terrain.level.level import load_level
@@ -29,6 +31,14 @@ from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
 from terrain.scene import build_scene
 from terrain.whole_files import write_whole
+
+MAX_FRAMES_AHEAD = 4
+"""Frames that are drawn at a time beside the one that is waited for: each takes some 100 MB."""
+
+FIRST_FRAMES, EXPECTS_ANEW = 5, 1.5
+"""Frames after which a film's size and time are told, and by how much these change before they are told again: the first ones are
+often of the night.
+"""
 
 
 @dataclass(frozen=True)
@@ -40,12 +50,13 @@ class FilmOptions:
     step: str | None
     path: Path | None
     fps: float | None
+    lossless: bool = False
 
     @property
     def given(self) -> list[str]:
         """Their names."""
         values = {"--from": self.start, "--to": self.end, "--step": self.step, "--path": self.path, "--fps": self.fps}
-        return [name for name, value in values.items() if value is not None]
+        return [*(name for name, value in values.items() if value is not None), *(["--lossless"] if self.lossless else [])]
 
 
 def render_film(
@@ -68,6 +79,8 @@ def render_film(
     """
     if layer != "color":
         raise InputError("--layer", layer, "color: films are of what is seen")
+    if options.lossless and output.suffix.lower() != ".webp":
+        raise InputError("--lossless", str(output), "a film as .webp: frames of .png lose nothing, and .mp4 always does")
     if options.path is not None and view != "map":
         raise InputError("--view", view, "nothing beside --path, which says where the camera is")
     check_targets(level, [("--stats", stats)], options.path)
@@ -93,7 +106,8 @@ def render_film(
         replanner = Replanner(device=calibration_for(scene.loaded.level.shadows, overrides))
         with LinesOverBar("Filming") as shown:
             told = _Told(shown, len(moments))
-            write_film(output, told.colors(film_frames(scene, request, moments, replanner)), len(moments), fps)
+            frames = film_frames(scene, request, moments, replanner, min(CORES, MAX_FRAMES_AHEAD))
+            write_film(output, told.colors(frames), len(moments), fps, options.lossless, told.expect)
         if stats is not None:
             write_whole(stats, json.dumps({"level": scene.loaded.name, "fps": fps, **told.statistics}, indent=2) + "\n")
     finally:
@@ -104,7 +118,9 @@ class _Told:
     """Frames on their way to a file, and what is told of them."""
 
     def __init__(self, shown: LinesOverBar, total: int) -> None:
-        self._shown, self._total = shown, total
+        self._shown, self._total, self._begin = shown, total, clock.perf_counter()
+        self._drawn = 0
+        self._said: tuple[float, float] | None = None
         self.statistics: dict[str, list[dict[str, Any]]] = {"frames": [], "switches": []}
 
     def colors(self, frames: Iterator[FilmFrame]) -> Iterator[np.ndarray]:
@@ -117,9 +133,22 @@ class _Told:
             if not self._shown.on_terminal:
                 typer.echo(f"[{moment.number + 1}/{self._total}] {moment.words}: {frame.plan.headline}, {drawn_s:.2f} s", err=True)
             self._note(frame, drawn_s)
+            self._drawn += 1
             yield frame.color
             self._shown.advance(moment.number + 1, self._total)
             begin = clock.perf_counter()
+
+    def expect(self, written: int, size: int) -> None:
+        """Tell how large a film will be and how long it takes, by what is written of it: early, and where that turns out wrong."""
+        if not FIRST_FRAMES <= written < self._total or size == 0:
+            return
+        a_frame_s = (clock.perf_counter() - self._begin) / self._drawn
+        expected = size * self._total / written, a_frame_s * self._total
+        wrong = max((max(now / then, then / now) for now, then in zip(expected, self._said or (), strict=False)), default=math.inf)
+        if wrong > EXPECTS_ANEW:
+            self._said = expected
+            left = _time(a_frame_s * (self._total - self._drawn))
+            self._shown.line(f"{self._total} frames: about {_size(expected[0])} in all, {left} left")
 
     def _note(self, frame: FilmFrame, drawn_s: float) -> None:
         moment = frame.moment
@@ -135,3 +164,16 @@ class _Told:
             switch = frame.switch
             said = {"frame": switch.number + 1, "before": switch.before, "after": switch.after, "why": switch.why}
             self.statistics["switches"].append(said)
+
+
+def _size(count: float) -> str:
+    """So many bytes in words, of two digits."""
+    for unit, bytes_of in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= bytes_of:
+            return f"{float(f'{count / bytes_of:.2g}'):g} {unit}"
+    return f"{count:.0f} bytes"
+
+
+def _time(seconds: float) -> str:
+    """So many seconds in words."""
+    return f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.0f} minutes"

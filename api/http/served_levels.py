@@ -17,7 +17,7 @@ from api.errors import NotServedError
 from api.file_stamps import Stamp, file_stamps, level_version, watched_files
 from api.http.level_checks import LevelCheck
 from api.layers import BETWEEN_LAYERS, MAP_LAYERS, PICTURE_LAYERS
-from api.matrices import LonLatBounds, ZoomRange, matrix_set_of, served_matrix_sets, zoom_range
+from api.matrices import LonLatBounds, ZoomRange, detail_m, matrix_set_of, served_matrix_sets, zoom_range
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from api.workers.jobs import LevelKey
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError, printable
@@ -326,8 +326,8 @@ def _served(
             *scene.elevation.bounds, densify_pts=21
         )
         data_bounds = (west, south, east + 360.0 if east < west else east, north)
-        cell_m = scene.elevation.cell_size_m(world.metres_per_unit)
-        zooms_by_set = {name: zoom_range(matrix_set, world, bounds, cell_m) for name, matrix_set in served_matrix_sets().items()}
+        detail = detail_m(scene)
+        zooms_by_set = {name: zoom_range(matrix_set, world, bounds, detail) for name, matrix_set in served_matrix_sets().items()}
         zooms = {name: range_ for name, range_ in zooms_by_set.items() if range_ is not None}
     version = level_version(loaded, stamps)
     view_sizes = {name: _view_size(scene, name) for name in {"map": None, **loaded.level.views}}

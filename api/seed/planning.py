@@ -12,7 +12,7 @@ from pmtiles.tile import zxy_to_tileid
 from api.device_calibration import calibration
 from api.file_stamps import Stamp, file_stamps, level_version, watched_files
 from api.layers import LAYERS, MapFormat, MapLayer
-from api.matrices import OVERZOOMS, LonLatBounds, ZoomRange, extent_off_data, matrix_set_of, tile_limits, zoom_range
+from api.matrices import OVERZOOMS, LonLatBounds, ZoomRange, detail_m, extent_off_data, matrix_set_of, tile_limits, zoom_range
 from api.seed.archive import first_tile_id
 from api.seed.identity import digest_of_json, ground_of, level_digest, plan_digest
 from api.seed.reached_ground import ReachedGround
@@ -211,18 +211,19 @@ def _zooms(scene: Scene, asked: ZoomRange | None) -> tuple[ZoomRange, LonLatBoun
     shown = scene.bounds_lon_lat
     if shown is None:
         raise UnsupportedError("LEVEL", scene.loaded.name, "an engineering CRS is not georeferenced, so there are no tiles")
-    cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
-    served = zoom_range(matrix_set_of(MATRIX_SET), scene.world, shown, cell_m)
-    if served is None:
+    cell_m, matrix_set = scene.elevation.cell_size_m(scene.world.metres_per_unit), matrix_set_of(MATRIX_SET)
+    served, of_ground = (zoom_range(matrix_set, scene.world, shown, detail) for detail in (detail_m(scene), cell_m))
+    if served is None or of_ground is None:
         raise UnsupportedError("LEVEL", scene.loaded.name, f"it lies outside of {MATRIX_SET}")
+    cells_at = max(of_ground.last - OVERZOOMS, served.first)
     if asked is not None and not 0 <= asked.first <= asked.last <= served.last:
-        allowed = f"zooms 0 to {served.last} (its cells show at {served.last - OVERZOOMS}), the first one first"
+        allowed = f"zooms 0 to {served.last} (its cells show at {cells_at}), the first one first"
         raise InputError("--zooms", f"{asked.first}-{asked.last}", allowed)
     west, south, east, north = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
         *scene.elevation.bounds, densify_pts=21
     )
     bounds = west, south, east + 360.0 if east < west else east, north
-    return asked or ZoomRange(served.first, max(served.last - OVERZOOMS, served.first)), bounds
+    return asked or ZoomRange(served.first, cells_at), bounds
 
 
 def blocks_of_zoom(zoom: int, bounds: LonLatBounds) -> list[tuple[int, int]]:

@@ -84,7 +84,7 @@ def brightest(scene: Scene, view: MapView | PerspectiveView) -> float:
     """The brightest linear colour of ground under the whole sky alone: of tints, or of white where a level shows other things."""
     level = scene.loaded.level
     plain = scene.objects.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
-    tints = tint_table(scene.style.ramp)
+    tints = tint_table(scene.style.ramp, scene.style.has_climate).reshape(-1, 3)
     albedo = in_shade(tints, look_of(scene, view)).max(axis=0) if plain else np.ones(3)
     night = night_of(scene)
     day = 0.0 if scene.highest_sun_deg is None else float(dusk_of(np.sin(np.radians(scene.highest_sun_deg))))

@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 from morecantile import tms as registered
@@ -7,6 +9,7 @@ from api.errors import NotServedError
 from api.matrices import (
     ZoomRange,
     check_tile,
+    detail_m,
     doubles,
     matrix_set_of,
     off_data,
@@ -47,6 +50,27 @@ def test_zooms_follow_from_size_on_the_ground(lat: float):
     long_side_m = 2 * half * 111_000
     assert 0.35 < long_side_m / (256 * pixel_m[0]) < 0.72
     assert 0.7 < pixel_m[1] / 25.0 < 1.42
+
+
+def test_zooms_go_on_to_what_stands_on_the_ground(write_raster, make_scene, tmp_path):
+    """Bare ground ends three zooms past its cells; trees and houses where one of 10 m has 20 pixels."""
+    raster = write_raster(np.zeros((60, 60), np.float32), "EPSG:32633", 450_000.0, 6_000_000.0, 30.0)
+    place = {"type": "Point", "coordinates": [14.249, 54.142]}
+    (tmp_path / "tree.geojson").write_text(json.dumps({
+        "type": "FeatureCollection", "features": [{"type": "Feature", "properties": {}, "geometry": place}],
+    }))  # fmt: skip
+    forest, meshes = [{"source": str(tmp_path / "tree.geojson")}], [{"generate": "rocks", "at": [14.249, 54.142]}]
+    last = {}
+    for name, keys in {"bare": {}, "forest": {"forest": forest}, "meshes": {"meshes": meshes}}.items():
+        scene = make_scene(raster, **keys)
+        zooms = zoom_range(MERCATOR, scene.world, scene.bounds_lon_lat, detail_m(scene))
+        assert zooms is not None
+        last[name] = zooms.last
+    pixel_m = {name: 40_075_016.7 / 256 / 2.0**zoom * np.cos(np.radians(54.142)) for name, zoom in last.items()}
+    assert 30.0 / 8.0 / 1.42 < pixel_m["bare"] < 30.0 / 8.0 * 1.42
+    assert pixel_m["forest"] == pixel_m["meshes"] and 14.0 < 10.0 / pixel_m["forest"] < 29.0
+    fine = make_scene(write_raster(np.zeros((60, 60), np.float32), "EPSG:32633", 450_000.0, 6_000_000.0, 1.0), forest=[])
+    assert detail_m(fine) == pytest.approx(1.0, rel=0.01)
 
 
 def test_zooms_end_with_the_matrix_set():

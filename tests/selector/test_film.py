@@ -15,6 +15,7 @@ from selector.film import FilmFrame, film_frames, frame_moments
 from selector.film_request import FilmRequest, FilmSpan
 from selector.planner.planner import make_plan
 from selector.replanning import MOST_CHANGED, PATIENCE, Replanner
+from shadows.ground_pictures import shown_color
 from shadows.plan import Plan, Predicted
 from shadows.render import render_frame
 from terrain.errors import InputError
@@ -101,7 +102,7 @@ def test_a_film_begins_when_its_scene_is_whatever_moves(tmp_path):
 
 def test_a_frame_is_drawn_when_it_is_asked_for(figure, monkeypatch):
     drawn = []
-    monkeypatch.setattr(film, "render_frame", lambda scene, view, plan: drawn.append(1) or render_frame(scene, view, plan))
+    monkeypatch.setattr(film, "shown_color", lambda *of: drawn.append(1) or shown_color(*of))
     frames = frames_of(figure, FilmRequest(FilmSpan(100, 0.01), path=ROUND))
     assert drawn == []
     next(frames), next(frames)
@@ -139,7 +140,7 @@ def test_a_switch_is_spread_over_frames_told_and_recorded(gl, figure, caplog):
     assert mixed[0] is switched and 4 <= len(mixed) < 40 and mixed[-1].handover.share == 1.0
     (said,) = (record.getMessage() for record in caplog.records if "instead of" in record.getMessage())
     assert said == f"frame {switch.number + 1} (0.007 s): {switch.after} instead of {switch.before}: {switch.why}"
-    there = frames[0].drawn.there.sum()
+    there = render_frame(figure, frames[0].moment.view, frames[0].plan).there.sum()
     for one, other in zip(frames, frames[1:], strict=False):
         if one.handover or other.handover:
             # The sun rests, the body turns by 0.03 degrees a frame: colours change, but hardly between light and shadow.

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from morecantile import tms as matrix_sets
 
-from shadows.ground_pictures import _ground_alone, _ground_picture, shown_map
+from shadows import ground_pictures
+from shadows.ground_pictures import _ground_alone, _ground_picture, needs_no_gl, shown_color, shown_map
 from shadows.render import render_frame
 from terrain.casters.slopes import extent_on_grid
+from terrain.gbuffer.picture import geometry_of
 from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
+from terrain.level.parts import SunSpec
 from terrain.scene import Scene
 from tests.params import quick
 from tests.render import plan_of
@@ -121,6 +124,32 @@ def test_what_else_a_level_has_is_drawn_elsewhere_or_the_same(gl, hills, keys):
     assert _ground_alone(scene, view, plan) != ("weather" in keys)
     assert np.array_equal(shown.opacity, frame.opacity)
     assert np.abs(shown.color.astype(int) - frame.color).max() <= 1
+
+
+@pytest.mark.parametrize("altitude", [4.0, 22.0, 65.0, -3.0])
+@pytest.mark.parametrize("size", [(150, 150), (331, 207), (900, 900)])
+def test_pixels_between_nodes_show_what_geometry_buffers_do(gl, hills, altitude, size):
+    """Coarse pixels, those of about the data's size, and magnified ones, of which none lies on a node: to the bit."""
+    scene = hills(225.0, altitude)
+    view = scene.view(size=size)
+    assert isinstance(view, MapView) and not view.on_nodes
+    plan = plan_of(scene, view)
+    assert needs_no_gl(scene, view, plan)
+    frame = render_frame(scene, view, plan)
+    assert np.array_equal(shown_color(scene, view, plan), frame.color) and frame.there.any() and not frame.there.all()
+    if scene.sun_is_up:
+        assert len(np.unique(frame.opacity)) > 2
+
+
+def test_ground_between_nodes_is_made_once_for_all_suns(gl, hills, monkeypatch):
+    scene = hills(225.0, 22.0)
+    view = scene.view(size=(90, 90))
+    made: list[MapView] = []
+    monkeypatch.setattr(ground_pictures, "geometry_of", lambda *of: made.append(of[1]) or geometry_of(*of))
+    for azimuth in (200.0, 220.0, 240.0):
+        lit = scene.with_sun(SunSpec(azimuth=azimuth, altitude=20.0))
+        shown_color(lit, view, plan_of(lit, view))
+    assert len(made) == 1
 
 
 def test_off_the_ground_they_are_empty(gl, hills):

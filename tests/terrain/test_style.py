@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -47,12 +49,12 @@ def color_of(scene: Scene) -> np.ndarray:
 
 @pytest.mark.parametrize("name", STYLES)
 def test_higher_ground_is_no_darker(name):
-    assert (np.diff(lightness(tint_table(STYLES[name].ramp))) > -1e-9).all()
+    assert (np.diff(lightness(tint_table(STYLES[name].ramp, STYLES[name].has_climate)), axis=1) > -1e-9).all()
 
 
 @pytest.mark.parametrize("name", STYLES)
 def test_a_ramp_has_its_colours_at_its_heights(name):
-    table, ramp = tint_table(STYLES[name].ramp), STYLES[name].ramp
+    (table,), ramp = tint_table(STYLES[name].ramp), STYLES[name].ramp
     for height, color in ramp:
         expected = linear_of_srgb(np.array([int(color[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]))
         at = (height - TINT_LOW_M) / TINT_STEP_M
@@ -210,16 +212,27 @@ def test_luminance_is_that_of_the_standard():
 # -- which one
 
 
-def test_fine_ground_without_a_forest_is_a_city(write_raster, make_scene, tmp_path):
+@pytest.mark.parametrize(("trees", "name"), [(0, "urban"), (6, "urban"), (40, "urban"), (110, "natural")])
+def test_fine_ground_is_a_city_unless_it_is_a_wood(write_raster, make_scene, tmp_path, trees, name):
+    """60 x 60 m: crowns of 5 m have 20 m2 each, of 3,600."""
     heights = np.zeros((60, 60), np.float32)
     heights[20:40, 20:40] = 9.0
-    fine, coarse = write_raster(heights, UTM, X0, Y0, 1.0), None
-    assert make_scene(fine).style.name == "urban"
-    assert make_scene(fine, style="natural").style.name == "natural"
-    forest = [{"source": str(tmp_path / "trees.geojson"), "density": 100, "height": [9, 12]}]
-    (tmp_path / "trees.geojson").write_text('{"type": "FeatureCollection", "features": []}')
-    assert make_scene(fine, forest=forest).style.name == "natural"
-    coarse = write_raster(heights, UTM, X0, Y0, 30.0)
+    fine = write_raster(heights, UTM, X0, Y0, 1.0)
+    x, y = (edge + 6.0 * np.arange(1, 10) for edge in (X0, Y0 - 60.0))
+    places = [[float(a) + 0.1 * number, float(b)] for number in range(2) for a in x for b in y][:trees]
+    (tmp_path / "trees.geojson").write_text(json.dumps({
+        "type": "FeatureCollection", "crs": {"type": "name", "properties": {"name": UTM}},
+        "features": [{"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": at}} for at in places],
+    }))  # fmt: skip
+    forest = [{"source": str(tmp_path / "trees.geojson"), "height": [9, 12], "crown": [5, 5]}] if trees else []
+    scene = make_scene(fine, forest=forest)
+    assert scene.objects.crown_share == pytest.approx(len(places) * np.pi * 2.5**2 / 3600.0, rel=0.01)
+    assert (scene.objects.crown_share > 0.25) == (name == "natural") and scene.style.name == name
+    assert make_scene(fine, forest=forest, style="natural").style.name == "natural"
+
+
+def test_coarse_ground_is_no_city_unless_it_is_of_blocks(write_raster, make_scene):
+    coarse = write_raster(np.zeros((60, 60), np.float32), UTM, X0, Y0, 30.0)
     assert make_scene(coarse).style.name == "natural"
     assert make_scene(coarse, terrain={"surface": "blocks"}).style.name == "urban"
 

@@ -81,6 +81,7 @@ def render(
         Path | None, typer.Option(metavar="CAMERA.yaml", help="Key positions with times of a camera that moves: a film.")
     ] = None,
     fps: Annotated[float | None, typer.Option(help="Frames a second of a film that plays; default: 25.")] = None,
+    lossless: Annotated[bool, typer.Option("--lossless", help="Of a film as .webp: lose nothing, at six times the size.")] = False,
     stats: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach as JSON.")
     ] = None,
@@ -90,7 +91,7 @@ def render(
     from api.cli.film import FilmOptions, render_film
     from api.cli.snapshot import Appearance, snapshot, statistics
 
-    film = FilmOptions(start, end, step, path, fps)
+    film = FilmOptions(start, end, step, path, fps, lossless)
     if film.given:
         if light is not None:
             raise InputError("--light", light, f"nothing beside {film.given[0]}: films are of all lights")

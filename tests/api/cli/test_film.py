@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
+import threading
 import time
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,11 @@ import pytest
 from PIL import Image
 
 from api.film_span import USUAL_FPS
+from selector.film import film_frames, frame_moments
+from selector.film_request import FilmRequest, FilmSpan
+from selector.replanning import Replanner
+from terrain.level.level import load_level
+from terrain.scene import build_scene
 
 LEVEL = {
     "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}},
@@ -46,9 +54,11 @@ def test_a_camera_that_moves_is_written_and_told(gl, run, folder):
     """The frames of the three kinds of files, and a still of the same camera and plan."""
     common = "render", "floor.yaml", "--path", "camera.yaml", "--fps", "5"
     for output in ("film.webp", "film.mp4", "frames/%02d.png"):
-        status, out, err = run(*common, "-o", output, "--stats", "film.json")
+        lossless = ["--lossless"] if output == "film.webp" else []
+        status, out, err = run(*common, *lossless, "-o", output, "--stats", "film.json")
         assert (status, out) == (0, "")
-        assert err.splitlines()[0].startswith("[1/6] frame 1 (0 s): relief=none,meshes=") and len(err.splitlines()) == 6
+        lines = [line for line in err.splitlines() if line.startswith("[")]
+        assert lines[0].startswith("[1/6] frame 1 (0 s): relief=none,meshes=") and len(lines) == 6
     said = json.loads((folder / "film.json").read_text())
     assert (said["level"], said["fps"], said["switches"]) == ("floor", 5.0, [])
     assert [frame["seconds"] for frame in said["frames"]] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
@@ -63,6 +73,33 @@ def test_a_camera_that_moves_is_written_and_told(gl, run, folder):
     (folder / "still.yaml").write_text(json.dumps(LEVEL | {"seconds": 1.0, "views": {"end": end}}))
     assert run("render", "still.yaml", "--view", "end", "-o", "still.png")[0] == 0
     assert (np.asarray(Image.open("still.png").convert("RGB")) == drawn[-1]).all()
+
+
+def test_size_and_time_are_told_after_the_first_frames(gl, run, folder):
+    status, _, err = run(
+        "render", "floor.yaml", "--view", "eye", "--from", "0s", "--to", "2s", "--step", "0.05s", "-o", "film.webp"
+    )
+    lines = err.splitlines()
+    (first, *_) = (n for n, line in enumerate(lines) if line.startswith("41 frames: about "))
+    assert status == 0 and 4 < first < 20
+    size, unit = re.fullmatch(r"41 frames: about ([0-9.]+) (kB|MB) in all, [0-9]+ (s|minutes) left", lines[first]).groups()[:2]
+    said = float(size) * {"kB": 1e3, "MB": 1e6}[unit]
+    assert said == pytest.approx((folder / "film.webp").stat().st_size, rel=0.5)
+
+
+def test_frames_drawn_ahead_are_those_drawn_one_by_one(gl):
+    """Bare ground is drawn in threads: in order, by the same plans, whatever is waited for; and a film may be left halfway."""
+    scene = build_scene(load_level("configs/jacksboro.yaml"))
+    request = FilmRequest(FilmSpan(9, 5400.0, datetime.fromisoformat("2024-10-21T07:00:00-04:00")), "map", size=(96, 64))
+    moments = frame_moments(scene, request)
+    one, ahead = (list(film_frames(scene, request, moments, Replanner(), threads)) for threads in (0, 3))
+    assert [frame.moment.number for frame in ahead] == list(range(9))
+    assert all((a.color == b.color).all() and a.plan == b.plan and a.switch == b.switch for a, b in zip(one, ahead, strict=True))
+    assert len({frame.color.tobytes() for frame in ahead}) == 9
+    frames = film_frames(scene, request, moments, Replanner(), 3)
+    next(frames), next(frames)
+    frames.close()
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("skugga-frames")]
 
 
 def test_a_sun_that_moves_is_a_row_of_stills(gl, run, folder):
@@ -88,6 +125,8 @@ def test_a_sun_and_a_camera_that_move_together(gl, run, folder):
     ("options", "told"),
     [
         ((*CLOCK, "-o", "film.gif"), "output: 'film.gif' is not allowed; allowed: a film: day.webp"),
+        ((*CLOCK, "--lossless", "-o", "film.mp4"), "--lossless: 'film.mp4' is not allowed; allowed: a film as .webp"),
+        (("--lossless", "-o", "film.webp"), "from: missing"),
         ((*CLOCK, "-o", "film.png"), "a name with one number for 6 frames, as frames/%04d.png"),
         ((*CLOCK, "-o", "no/film.webp"), "no/film.webp: folder not found"),
         ((*CLOCK, "--layer", "mask", "-o", "film.webp"), "--layer: 'mask'"),

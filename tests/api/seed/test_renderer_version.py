@@ -9,7 +9,7 @@ from shadows.render import RENDERER_VERSION
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 
-PICTURES = {1: "4653dc1e7c9d2b5e", 2: "4fe7c0ba9db922a4"}
+PICTURES = {1: "4653dc1e7c9d2b5e", 2: "4fe7c0ba9db922a4", 3: "4fe7c0ba9db922a4"}
 """The digest of all golden pictures of levels, for each version of the renderer."""
 
 

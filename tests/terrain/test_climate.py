@@ -1,0 +1,140 @@
+"""Climate: ice above the snow line, deserts and tundra, by latitude and height alone; the same in every map and tile."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from morecantile import tms as matrix_sets
+
+from shadows.ground_pictures import _ground_picture, needs_no_gl
+from shadows.render import render_frame
+from terrain.casters.slopes import extent_on_grid
+from terrain.climate import ARID, ICE, LATITUDES, TUNDRA, climate_srgb, ramp_srgb, snow_line_m
+from terrain.gbuffer.picture import geometry_of
+from terrain.geo.grid import MapView, tile_grid
+from terrain.level.parts import StyleSpec
+from terrain.shading import albedo_of
+from terrain.style import STYLES, tint_table
+from tests.render import plan_of
+
+OWN = STYLES["natural"].ramp
+HEIGHTS = np.arange(-500.0, 7001.0, 50.0)
+
+
+def srgb_at(latitude: float, height: float) -> np.ndarray:
+    """The colour (3,) in [0, 255] of a place, of the nearest row of the table."""
+    row = round((np.sin(np.radians(latitude)) + 1.0) / 2.0 * (LATITUDES - 1))
+    return 255.0 * climate_srgb(OWN, np.array([height]))[row, 0]
+
+
+def of_ramp(ramp, height: float) -> np.ndarray:
+    return 255.0 * ramp_srgb(ramp, np.array([height]))[0]
+
+
+@pytest.mark.parametrize(
+    ("latitude", "height", "ramp", "apart"),
+    [
+        (-75.0, 3200.0, ICE, 0.5),  # Antarctica
+        (-72.0, 20.0, ICE, 0.5),  # its coast
+        (72.0, 2500.0, ICE, 0.5),  # Greenland
+        (72.0, 50.0, TUNDRA, 0.5),  # its coast, and Siberia's
+        (46.0, 3600.0, ICE, 0.5),  # the Alps' summits
+        (46.0, 1500.0, OWN, 0.0),  # their valleys
+        (28.0, 6500.0, ICE, 0.5),  # the Himalaya
+        (60.0, 100.0, OWN, 0.1),  # Oslo
+        (51.0, 30.0, OWN, 0.0),  # London
+        (36.6, 700.0, OWN, 0.0),  # Jacksboro
+        (-3.0, 100.0, OWN, 0.0),  # the Amazon
+        (-42.0, 200.0, OWN, 0.0),  # Tasmania
+    ],
+)
+def test_places_have_their_colours(latitude, height, ramp, apart):
+    assert np.abs(srgb_at(latitude, height) - of_ramp(ramp, height)).max() <= apart
+
+
+def test_deserts_are_of_sand():
+    """Redder than green, where meadows are greener than red."""
+    for latitude in (24.0, -24.0):
+        for height in (50.0, 500.0, 1000.0):
+            red, green, blue = srgb_at(latitude, height)
+            assert red > green + 5.0 > blue + 20.0
+            assert np.abs(srgb_at(latitude, height) - of_ramp(ARID, height)).max() < np.abs(
+                srgb_at(latitude, height) - of_ramp(OWN, height)
+            ).max()  # fmt: skip
+
+
+def test_middle_latitudes_are_the_styles_own_ramp_below_the_snow_line():
+    latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDES)))
+    colors, own = climate_srgb(OWN, HEIGHTS), ramp_srgb(OWN, HEIGHTS)
+    middle = (latitude > 36.0) & (latitude < 60.0)
+    below = HEIGHTS < snow_line_m(latitude)[:, None] - 250.0
+    assert middle.sum() > 20
+    assert (np.abs(colors - own)[middle][below[middle]] == 0.0).all()
+
+
+def test_the_bottom_of_the_sea_has_no_climate():
+    assert np.allclose(climate_srgb(OWN, np.array([-4000.0, -500.0])), ramp_srgb(OWN, np.array([-4000.0, -500.0])))
+
+
+@pytest.mark.parametrize("name", [name for name, style in STYLES.items() if not style.has_climate])
+def test_other_styles_have_one_ramp(name):
+    assert len(tint_table(STYLES[name].ramp, STYLES[name].has_climate)) == 1
+
+
+RASTERS = {
+    "Greenland": ("EPSG:3413", 100_000.0, -1_500_000.0, 300.0), "Tromso": ("EPSG:32633", 640_000.0, 7_730_000.0, 1100.0),
+    "the Sahara's edge": ("EPSG:32632", 400_000.0, 2_000_000.0, 700.0), "the Alps": ("EPSG:32632", 400_000.0, 5_150_000.0, 2900.0),
+    "the Antarctic Peninsula": ("EPSG:3031", -2_400_000.0, 1_500_000.0, 100.0),
+}  # fmt: skip
+
+
+@pytest.fixture(params=RASTERS)
+def hilly(request, write_raster, make_scene):
+    """Hilly ground of 160 x 160 cells of 120 m, where its colours change with latitude."""
+    crs, x0, y0, base = RASTERS[request.param]
+    row, col = np.mgrid[:160, :160]
+    waves = 250.0 * np.sin(row / 11.0) * np.cos(col / 13.0)
+    return make_scene(write_raster((base + waves).astype(np.float32), crs, x0, y0, 120.0), 225.0, 30.0, style="natural")
+
+
+def test_the_fast_path_has_the_same_climate(gl, hilly):
+    """The loop that shades bare ground row by row, and the one that shades any buffer."""
+    grid = tile_grid(matrix_sets.get("WebMercatorQuad"), 10)
+    (north, south), (west, east) = extent_on_grid(hilly.world, hilly.elevation, grid)
+    rows, cols = int(south - north) // 2, int(east - west) // 2
+    view = MapView(grid, float(np.floor(north)) + rows // 2, float(np.floor(west)) + cols // 2, 1.0, 1.0, rows, cols)
+    plan = plan_of(hilly, view)
+    assert needs_no_gl(hilly, view, plan)
+    shown, frame = _ground_picture(hilly, view, plan), render_frame(hilly, view, plan)
+    assert shown is not None and frame.there.sum() > 3000
+    apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
+    assert apart.max() <= 1 and (apart > 0).mean() < 1e-3
+    own_ramp = StyleSpec(name="natural", ramp=OWN)
+    without = _ground_picture(dataclasses.replace(hilly, styled=own_ramp), view, plan)
+    assert without is not None, "a level's own ramp is that of all latitudes"
+    assert (np.abs(without.color.astype(int) - shown.color).max(axis=-1) > 4).mean() > 0.1, "else nothing was compared"
+
+
+@pytest.mark.parametrize("latitude", [-70.0, -24.0, 25.0, 45.0, 66.0, 80.0])
+@pytest.mark.parametrize("height", [20.0, 900.0, 3100.0])
+def test_a_place_has_one_colour_in_all_maps(write_raster, make_scene, latitude, height):
+    """Ground of one height in a raster of degrees, seen in two CRSs and at two sizes of pixels: by the closed form."""
+    heights = np.full((60, 60), height, np.float32)
+    heights[0, 0] += 50.0
+    scene = make_scene(write_raster(heights, "EPSG:4326", 10.0, latitude + 0.5, 1.0 / 60.0), 180.0, 30.0)
+    found = []
+    for crs, size in (("EPSG:4326", (61, 61)), ("EPSG:4326", (33, 33)), (f"EPSG:{scene.map_crs.to_epsg()}", (61, 61))):
+        buffer = geometry_of(scene, scene.view(size=size, crs=crs))
+        earth = buffer.frame.points_to_earth(buffer.position_frame_m)
+        sine = earth[..., 2] / np.linalg.norm(earth, axis=-1)
+        albedo = albedo_of(buffer, scene)
+        level = buffer.there & (np.abs(buffer.height_m - height) < 0.01)
+        table = tint_table(OWN, True)
+        for k in range(3):
+            at = (sine[level] + 1.0) / 2.0 * (LATITUDES - 1)
+            column = np.array([np.interp(height, -512.0 + 8.0 * np.arange(table.shape[1]), row[:, k]) for row in table])
+            np.testing.assert_allclose(albedo[level][:, k], np.interp(at, np.arange(LATITUDES), column), atol=2e-6)
+        found.append(level.sum())
+    assert min(found) > 500
