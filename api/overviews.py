@@ -22,10 +22,10 @@ from rasterio.windows import Window
 from api.raster_file import check_raster
 from terrain.compiled import compiled
 from terrain.errors import InputError, SourceError
-from terrain.ground.elevation import PLAUSIBLE_M, units_of
-from terrain.ground.georeference import crs_of
+from terrain.ground.elevation import PLAUSIBLE_M
+from terrain.ground.open_raster import GTIFF_VERTICAL
 from terrain.ground.overview import lacks_overviews, overview_level
-from terrain.level.parts import METRES_PER_UNIT
+from terrain.ground.vertical import vertical_axis
 from terrain.level.rasters import open_raster
 from terrain.whole_files import replaced_whole
 
@@ -101,7 +101,7 @@ def _build_coarser(half: DatasetWriter, factors: list[int], path: Path) -> None:
 
 def _opened(raster: Path) -> rasterio.DatasetReader:
     try:
-        with warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning):
+        with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning):
             return open_raster(str(raster))
     except RasterioError:
         raise SourceError(str(raster), "it cannot be opened", "a raster that GDAL reads") from None
@@ -132,8 +132,8 @@ def _check(raster: Path, target: Path, dataset: rasterio.DatasetReader, nodata: 
 def _plausible(dataset: rasterio.DatasetReader) -> tuple[float, float]:
     """The least and the greatest value of a cell that is taken for a height."""
     scale, offset = dataset.scales[0], dataset.offsets[0]
-    unit_m = METRES_PER_UNIT[units_of(dataset, crs_of(dataset.name, dataset)) or "m"]
-    low, high = sorted((limit / unit_m - offset) / scale for limit in PLAUSIBLE_M)
+    unit = vertical_axis(dataset.name, dataset).scale
+    low, high = sorted((limit / unit - offset) / scale for limit in PLAUSIBLE_M)
     return low, high
 
 

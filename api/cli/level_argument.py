@@ -40,7 +40,17 @@ _OPTIONS: dict[str, Any] = {
     "units": Annotated[
         str | None,
         typer.Option(
-            metavar="UNIT", help="Unit of a raster's heights: m, ft or us-ft.", autocompletion=complete_words(["m", "ft", "us-ft"])
+            metavar="UNIT",
+            help="Unit of a raster's heights: m, ft, us-ft, dm, cm, mm, km, yd or fathom.",
+            autocompletion=complete_words(["m", "ft", "us-ft", "dm", "cm", "mm", "km", "yd", "fathom"]),
+        ),
+    ],
+    "positive": Annotated[
+        str | None,
+        typer.Option(
+            metavar="WAY",
+            help="Where a raster's heights grow to: up, or down (depths).",
+            autocompletion=complete_words(["up", "down"]),
         ),
     ],
 }
@@ -78,6 +88,7 @@ def _find_all(names: list[str] | None, asked: dict[str, Any]) -> list[LevelSourc
 
 
 def _find(name: str, asked: dict[str, Any]) -> LevelSource:
-    from terrain.level.level_source import LevelSource, units_named
+    from terrain.level.level_source import LevelSource, direction_named, units_named
 
-    return LevelSource(path=find_level(name), **{**asked, "units": units_named("--units", asked["units"])})
+    named = {"units": units_named("--units", asked["units"]), "positive": direction_named("--positive", asked["positive"])}
+    return LevelSource(path=find_level(name), **{**asked, **named})
