@@ -60,7 +60,7 @@ def remarks(source: Path | LevelSource) -> list[str]:
         notes.append(f"moves by the clock: {', '.join(movers)}")
     notes += [f"warning: {text}" for text in scene.warnings]
     if not is_generated:
-        notes.append(f"{elevation.vertical.statement}; terrain.units and terrain.positive say it otherwise")
+        notes.append(f"{elevation.vertical.statement}; if that is wrong, set terrain.units or terrain.positive")
     if scene.world.flat and not is_generated:
         notes.append("an engineering CRS is not georeferenced: no web tiles, and the sun by azimuth and altitude only")
     return notes

@@ -92,16 +92,19 @@ class UnmarkedCells:
     def sentinels(self) -> dict[float, int]:
         """Values that seem to mean no height, and that nothing declares, with how many cells have them."""
         within = {value: n for value, n in self._alike.items() if self._near[value] < n < self.cells}
-        alone = {self._value_beyond: self.beyond} if self.beyond and self.low_m == self.high_m else {}
-        return {**within, **self._sentinels, **alone}
+        return {**within, **self._sentinels}
 
     def warnings(self, axis: VerticalAxis, but: float | None = None) -> tuple[str, ...]:
         """What is noticed and what to write, as sentences; ``but``: a value of which another warning tells."""
         said = [self._of_sentinel(value, count) for value, count in sorted(self.sentinels.items()) if value != but]
-        if self.low_m < self.high_m:
+        if self.beyond:
+            means = (
+                f"mean no data, {remedy('nodata', _shortest(self._value_beyond))}; if they " if self.low_m == self.high_m else ""
+            )
             said.append(
                 f"{_share(self.beyond, self.cells)} of the raster's cells are no heights on earth and left out as holes: "
-                f"{self.range_beyond(axis)}. If the unit is another, {remedy('units', 'UNIT')}, one of {', '.join(METRES_PER_UNIT)}"
+                f"{self.range_beyond(axis)}. If they {means}are in another unit, {remedy('units', 'UNIT')}, one of "
+                f"{', '.join(METRES_PER_UNIT)}"
             )
         return tuple(said)
 
@@ -118,11 +121,13 @@ class UnmarkedCells:
 
 
 def _share(count: int, cells: int) -> str:
-    return f"{100 * count / max(cells, 1):.2g} %"
+    return f"{100 * count / max(cells, 1):.3g} %"
 
 
 def _shortest(value: float) -> str:
     """The fewest digits that give a cell's value, which may be of 32 bits: 1e+38."""
+    if abs(value) < HUGE and value.is_integer():
+        return f"{value:.0f}"
     texts = (f"{value:.{digits}g}" for digits in range(1, 18))
     with np.errstate(over="ignore"):
         return next(text for text in texts if value in (float(text), float(np.float32(float(text)))))

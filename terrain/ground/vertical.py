@@ -134,8 +134,8 @@ def unit_of_band(source: str, dataset: rasterio.DatasetReader, crs_word: str | N
     word = dataset.units[0] or ""
     unit = next((UNIT_WORDS[plain] for plain in _plain_words(word) if plain in UNIT_WORDS), None)
     if unit is None and _plain_words(word)[0] not in NO_UNIT_WORDS and word != crs_word:
-        known = f"one of {', '.join(METRES_PER_UNIT)} or their long names; what is said of heights goes before it"
-        raise SourceError(source, f"the unit '{word}' of its band", f"{known}: {remedy('units', 'UNIT')}")
+        known = f"one of {', '.join(METRES_PER_UNIT)} or their long names; of ground, else {remedy('units', 'UNIT')}"
+        raise SourceError(source, f"unit {word} of its band", known)
     return unit
 
 

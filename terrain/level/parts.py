@@ -117,6 +117,8 @@ class Terrain(Model):
             raise PydanticCustomError("ground", "one of source, flat and generate")
         if self.nodata is not None and self.source is None:
             raise PydanticCustomError("ground", "nodata of a source: made ground has no cells without a height")
+        if self.positive == "down" and self.source is None:
+            raise PydanticCustomError("ground", "positive: down of a source: made ground grows upwards")
         return self
 
 

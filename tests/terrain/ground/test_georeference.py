@@ -69,8 +69,9 @@ def test_cells_without_a_size_or_place(tmp_path):
 
 GCPS = [rasterio.control.GroundControlPoint(row, col, 12.5 + col * 3e-4, 47.2 - row * 3e-4) for row in (0, 40) for col in (0, 50)]
 RPCS = rasterio.rpc.RPC(
-    height_off=0.0, height_scale=500.0, lat_off=47.2, lat_scale=0.01, long_off=12.5, long_scale=0.01, line_off=20.0, line_scale=20.0,
-    samp_off=25.0, samp_scale=25.0, line_num_coeff=[0.0, 0.0, -1.0] + [0.0] * 17, line_den_coeff=[1.0] + [0.0] * 19,
+    height_off=0.0, height_scale=500.0, lat_off=47.2, lat_scale=0.01, long_off=12.5, long_scale=0.01, line_off=20.0,
+    line_scale=20.0, samp_off=25.0, samp_scale=25.0,
+    line_num_coeff=[0.0, 0.0, -1.0] + [0.0] * 17, line_den_coeff=[1.0] + [0.0] * 19,
     samp_num_coeff=[0.0, 1.0] + [0.0] * 18, samp_den_coeff=[1.0] + [0.0] * 19,
 )  # fmt: skip
 

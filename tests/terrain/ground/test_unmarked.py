@@ -36,7 +36,6 @@ def warnings_of(path: Path, heights: np.ndarray, scale: float = 1.0, crs: str = 
         (-32768.0, "int16", "left out"), (-32767.0, "int16", "left out"), (32767.0, "int16", "left out"),
         (65535.0, "uint16", "left out"), (-99999.0, "float32", "left out"), (9999.0, "int16", "left out"),
         (-3.4028234663852886e38, "float32", "left out"), (1e38, "float32", "left out"), (1e20, "float64", "left out"),
-        (-12345.0, "int16", "left out"),
     ],
 )  # fmt: skip
 def test_a_sentinel_inside_is_told(tmp_path, value, dtype, effect, size):
@@ -101,10 +100,19 @@ def test_mountains_in_unlabelled_feet_are_told_with_their_share(tmp_path):
     feet = hills(SIDE, SIDE, 6000.0, 14400.0)
     share = 100 * float((feet > 9500.0).mean())
     (warning,) = warnings_of(tmp_path, feet)
-    assert warning.startswith(f"{share:.2g} % of the raster's cells are no heights on earth and left out as holes: 9,50")
+    assert warning.startswith(f"{share:.3g} % of the raster's cells are no heights on earth and left out as holes: 9,50")
     assert "to 14,400 m, taken as heights in m (nothing says a unit)" in warning
     assert "terrain: {units: UNIT}" in warning and "--units UNIT" in warning and "us-ft" in warning
     assert warnings_of(tmp_path, feet, units="ft") == ()
+
+
+def test_one_value_of_our_own_is_a_sentinel_or_another_unit(tmp_path):
+    heights = hills(SIDE, SIDE)
+    heights[50:60, 50:60] = 12345.0
+    (warning,) = warnings_of(tmp_path, heights)
+    assert warning.startswith("0.25 % of the raster's cells are no heights on earth") and "12,345 m, taken as" in warning
+    assert "mean no data, write terrain: {nodata: 12345}" in warning and "--units UNIT" in warning
+    assert warnings_of(tmp_path, heights, nodata=12345.0) == ()
 
 
 def test_scaled_cells_are_judged_in_metres(tmp_path):

@@ -66,6 +66,7 @@ def test_bundled_levels_load():
         (GOOD + "meshes: [{source: a.obj, generate: rocks}]\n", "meshes.0", "rocks", "either source or generate"),
         ("version: 1\nterrain: {source: x, flat: {size: [1, 1], cells: [1, 1]}}\n", "terrain", "flat", "one of source, flat"),
         ("version: 1\nterrain: {flat: {size: [1, 1], cells: [1, 1]}, nodata: 0}\n", "terrain", "flat", "nodata of a source"),
+        ("version: 1\nterrain: {flat: {size: [1, 1], cells: [1, 1]}, positive: down}\n", "terrain", "flat", "positive: down of a"),
         ("[1, 2]\n", "my.yaml", "[1, 2]", "version: 1"),
         ("version: [1\n", "my.yaml: line 2", "expected", "well-formed YAML"),
         (GOOD + "sun: {time: 2024-13-45}\n", "my.yaml", "month", "well-formed YAML"),
