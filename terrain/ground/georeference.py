@@ -47,7 +47,7 @@ def check_cells(source: str, dataset: rasterio.DatasetReader) -> None:
 
 
 def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
-    """The CRS of an open raster that lies somewhere in it.
+    """The CRS of an open raster that lies somewhere in it, without its vertical axis: what is written in it has heights of its own.
 
     Raises ``SourceError`` where it has none, no place in it, or coordinates of another kind: metres in a CRS in degrees, or
     degrees in one in metres or feet.
@@ -88,4 +88,4 @@ def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
     unit_m = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0
     if crs.is_projected and (cell_m := float(np.sqrt(abs(gt.determinant))) * unit_m) > MOST_CELL_M:
         raise SourceError(source, f"cells of {cell_m / 1000.0:.4g} km", f"at most {MOST_CELL_M / 1000.0:g} km in {crs.name}")
-    return crs
+    return crs.to_2d() if len(crs.axis_info) == 3 else crs

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from pyproj import CRS
 
 import skugga
+from api.layers import geotiff
 from terrain.errors import SourceError
 from terrain.ground.elevation import Elevation
 from terrain.ground.vertical import UNIT_WORDS
@@ -116,6 +118,19 @@ def test_a_mount_under_water_throws_its_shadow(tmp_path, crs):
     assert (mask[31:33, 75:85] == 0).all() and (mask[31:33, 86:] == 255).all() and (mask[:, :69] == 255).all()
     twin = mask_of(with_depth(tmp_path / "heights.tif", -depths, UTM))
     np.testing.assert_array_equal(mask, twin)
+
+
+@pytest.mark.parametrize("crs", [f"{UTM}+5715", f"{UTM}+6360"])
+def test_heights_that_are_written_are_metres_upwards(tmp_path, crs):
+    """Not depths, nor feet, for the vertical CRS of what they come from."""
+    path = with_depth(tmp_path / "dem.tif", mount_under_water(), crs)
+    out = tmp_path / "height.tif"
+    with skugga.open_level(path) as level:
+        assert level.crs == CRS.from_user_input(UTM)
+        out.write_bytes(geotiff(level.render(layer="height", size=(128, 64)), level._scene.view("map", size=(128, 64)), np.nan))
+    first, again = Elevation(str(path)), Elevation(str(out))
+    assert again.vertical.unit_from is None and again.vertical.positive_from is None
+    assert again.overview.lowest_m == pytest.approx(first.overview.lowest_m, abs=1e-3)
 
 
 def test_depths_in_feet_with_a_hole_are_those_in_metres(tmp_path):
