@@ -64,7 +64,7 @@ class UnmarkedCells:
             self.any_beyond = True
             self._add_beyond(stored, height_m, ~marked & ~plausible & np.isfinite(height_m))
         if known.any():
-            heights = stored[known]
+            heights = stored if known.all() else stored[known]
             for end in {float(heights.min()), float(heights.max())} & set(SENTINELS):
                 self._add_alike(end, stored, height_m, known)
 
