@@ -59,8 +59,8 @@ def remarks(source: Path | LevelSource) -> list[str]:
     if movers := scene.loaded.level.movers:
         notes.append(f"moves by the clock: {', '.join(movers)}")
     notes += [f"warning: {text}" for text in scene.warnings]
-    if elevation.units is None and not is_generated:
-        notes.append("no vertical unit in the raster: heights are taken as metres; set terrain.units if that is wrong")
+    if not is_generated:
+        notes.append(f"{elevation.vertical.statement}; if that is wrong, set terrain.units or terrain.positive")
     if scene.world.flat and not is_generated:
         notes.append("an engineering CRS is not georeferenced: no web tiles, and the sun by azimuth and altitude only")
     return notes

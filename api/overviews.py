@@ -22,10 +22,11 @@ from rasterio.windows import Window
 from api.raster_file import check_raster
 from terrain.compiled import compiled
 from terrain.errors import InputError, SourceError
-from terrain.ground.elevation import PLAUSIBLE_M, units_of
-from terrain.ground.georeference import crs_of
+from terrain.ground.elevation import PLAUSIBLE_M
+from terrain.ground.open_raster import GTIFF_VERTICAL
 from terrain.ground.overview import lacks_overviews, overview_level
-from terrain.level.parts import METRES_PER_UNIT
+from terrain.ground.vertical import vertical_axis
+from terrain.level.parts import Positive, Units
 from terrain.level.rasters import open_raster
 from terrain.whole_files import replaced_whole
 
@@ -52,9 +53,16 @@ def missing_overviews(raster: Path) -> str | None:
         return f"{raster.name} needs no overviews: {cols} x {rows} cells are few enough to be read as they are"
 
 
-def make_overviews(raster: Path, nodata: float | None = None, on_part: Callable[[int, int], None] | None = None) -> Path:
+def make_overviews(
+    raster: Path,
+    nodata: float | None = None,
+    units: Units | None = None,
+    positive: Positive | None = None,
+    on_part: Callable[[int, int], None] | None = None,
+) -> Path:
     """Write the overviews of a raster of heights beside it, whole or not at all; returns their file. ``nodata`` is a value of its
-    cells that means no height, besides the one that it declares. ``on_part(done, total)`` is called after each part.
+    cells that means no height, besides the one that it declares; ``units`` and ``positive`` go before what it says of its heights.
+    ``on_part(done, total)`` is called after each part.
 
     Raises ``SourceError`` for what cannot have them, ``InputError`` for a ``nodata`` that no cell can have, ``OSError``.
     """
@@ -64,7 +72,7 @@ def make_overviews(raster: Path, nodata: float | None = None, on_part: Callable[
         stack.enter_context(warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning))  # overviews lie nowhere
         dataset = stack.enter_context(_opened(raster))
         _check(raster, target, dataset, nodata)
-        dtype, limits = np.dtype(dataset.dtypes[0]), _plausible(dataset)
+        dtype, limits = np.dtype(dataset.dtypes[0]), _plausible(dataset, units, positive)
         empty = _empty_value(dtype, limits, dataset.nodata if nodata is None else nodata)
         rows, cols = (-(-size // 2) for size in dataset.shape)
         parts = [*_parts(rows, cols)]
@@ -101,7 +109,7 @@ def _build_coarser(half: DatasetWriter, factors: list[int], path: Path) -> None:
 
 def _opened(raster: Path) -> rasterio.DatasetReader:
     try:
-        with warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning):
+        with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning):
             return open_raster(str(raster))
     except RasterioError:
         raise SourceError(str(raster), "it cannot be opened", "a raster that GDAL reads") from None
@@ -129,11 +137,11 @@ def _check(raster: Path, target: Path, dataset: rasterio.DatasetReader, nodata: 
             raise InputError("--nodata", f"{nodata:g}", f"a value that the raster's cells can have, of the type {dtype}")
 
 
-def _plausible(dataset: rasterio.DatasetReader) -> tuple[float, float]:
+def _plausible(dataset: rasterio.DatasetReader, units: Units | None, positive: Positive | None) -> tuple[float, float]:
     """The least and the greatest value of a cell that is taken for a height."""
     scale, offset = dataset.scales[0], dataset.offsets[0]
-    unit_m = METRES_PER_UNIT[units_of(dataset, crs_of(dataset.name, dataset)) or "m"]
-    low, high = sorted((limit / unit_m - offset) / scale for limit in PLAUSIBLE_M)
+    unit = vertical_axis(dataset.name, dataset, units, positive).scale
+    low, high = sorted((limit / unit - offset) / scale for limit in PLAUSIBLE_M)
     return low, high
 
 

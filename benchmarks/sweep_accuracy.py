@@ -188,7 +188,7 @@ def read(path: Path, crop: int) -> Raster:
     row, col = np.meshgrid(*(f + np.arange(s, dtype=float) for f, s in zip(first, size, strict=True)), indexing="ij")
     height_m, there = elevation.heights_at(0, row, col)
     unit_m = 1.0 if elevation.crs.is_geographic else elevation.crs.axis_info[0].unit_conversion_factor
-    if elevation.units is None:  # where nothing is said, heights are in the unit of the map: feet in feet
+    if elevation.vertical.unit_from is None:  # where nothing is said, heights are in the unit of the map: feet in feet
         height_m = height_m * np.float32(unit_m)
     name = f"{path.parent.name}/{path.stem}"
     cell_m = _cell_m(elevation, first[0] + size[0] / 2, first[1] + size[1] / 2, unit_m)

@@ -19,10 +19,9 @@ from terrain.geo.camera import PerspectiveView, look_at
 from terrain.geo.grid import Grid, MapView, map_view
 from terrain.geo.sun import Sun, position_at, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
-from terrain.ground.collar import collar_of
 from terrain.ground.elevation import Elevation
 from terrain.ground.geolocate import Geolocator
-from terrain.ground.overview import command_for
+from terrain.ground.raster_warnings import raster_warnings
 from terrain.level.bundled import BUNDLED
 from terrain.level.level import SUN, LoadedLevel
 from terrain.level.parts import MapSpec, PerspectiveSpec, StyleSpec, SunSpec
@@ -34,11 +33,6 @@ from terrain.style import Style, style_of, styled
 if TYPE_CHECKING:
     from terrain.geo.light_space import LightSpace
     from terrain.ground.surface import Surface
-
-FEET_WARNING = (
-    "x and y are in feet; heights without a unit are taken as metres: if these are feet, too, write terrain: {units: ft} or us-ft "
-    "(of a raster without a level file: --units ft); if not, units: m"
-)
 
 DEFAULT_VIEW_PX = 1024
 """Longest side of a map view whose size nobody gave."""
@@ -152,21 +146,7 @@ class Scene:
         source = self.loaded.level.terrain.source
         if source is None or source in BUNDLED:
             return ()
-        collar = collar_of(self.elevation)
-        in_feet = any("foot" in (axis.unit_name or "").lower() for axis in self.elevation.crs.axis_info)
-        return (
-            *(() if collar is None else (collar.warning,)),
-            *((self._overviews_warning,) if self.elevation.lacks_overviews else ()),
-            *((FEET_WARNING,) if in_feet and self.elevation.units is None else ()),
-        )
-
-    @property
-    def _overviews_warning(self) -> str:
-        cells = self.elevation.rows * self.elevation.cols / 1e6
-        return (
-            f"the raster of {cells:,.0f} million cells lacks overviews, so that zoomed-out tiles read most of it: "
-            f"'{command_for(self.elevation.name)}' makes them beside it"
-        )
+        return raster_warnings(self.elevation)
 
     @cached_property
     def height_range_m(self) -> tuple[float, float]:
@@ -367,8 +347,9 @@ def build_scene(loaded: LoadedLevel) -> Scene:
     name = loaded.source or f"{loaded.path}: terrain"
     water_m = None if loaded.level.water is None else loaded.level.water.level
     elevation = Elevation(
-        name, terrain.units, terrain.exaggeration, terrain.resolution, made, water_m, terrain.surface, terrain.nodata
-    )
+        name, terrain.units, terrain.exaggeration, terrain.resolution, made, water_m, terrain.surface, terrain.nodata,
+        terrain.positive,
+    )  # fmt: skip
     if terrain.surface == "blocks" and not elevation.upright:
         raise LevelError(f"{loaded.path}: terrain.surface", "blocks", "smooth: the raster's rows do not run from west to east")
     world = _world(loaded, elevation)

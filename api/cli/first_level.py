@@ -12,7 +12,7 @@ from api.cli.warnings import say_warnings
 from terrain.errors import InputError
 from terrain.level.level import load_level
 from terrain.level.level_source import LevelSource
-from terrain.level.parts import PerspectiveSpec, SunSpec
+from terrain.level.parts import METRES_PER_UNIT, PerspectiveSpec, SunSpec
 from terrain.level.rasters import is_level_raster
 from terrain.scene import Scene, build_scene
 from terrain.viewpoint import good_view
@@ -52,7 +52,7 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
 
     Lines that begin with "#" and one blank are comments; the other lines that begin with "#" are parts of a level, left out.
     """
-    sun, low_m = scene.loaded.level.sun, scene.height_range_m[0]
+    sun, low_m, unit = scene.loaded.level.sun, scene.height_range_m[0], scene.elevation.vertical.unit
     assert isinstance(sun, SunSpec)
     at = "0, 0" if scene.world.flat else f"{scene.world.anchor_lon_deg:.6f}, {scene.world.anchor_lat_deg:.6f}"
     positions = "metres east and north of the middle" if scene.world.flat else "longitude, latitude"
@@ -78,8 +78,9 @@ def level_text(scene: Scene, source: LevelSource, view: PerspectiveSpec | None, 
             f"  source: {_file(folder, source.path)}",
             "# Cells of this value have no height, besides those that the file declares empty.",
             nodata,
-            "# Of heights, where the file does not say: m, ft or us-ft.",
-            f"{'  ' if source.units else '#  '}units: {scene.elevation.units or 'm'}",
+            f"# Of heights, where the file does not say: {', '.join(METRES_PER_UNIT)}. Depths are positive down.",
+            f"{'  ' if source.units else '#  '}units: {unit if unit in METRES_PER_UNIT else 'm'}",
+            f"{'  ' if source.positive else '#  '}positive: {scene.elevation.vertical.positive}",
             "# Heights are multiplied by this.",
             "#  exaggeration: 1",
             "# A picture of the ground, as an RGB raster.",

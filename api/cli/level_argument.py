@@ -31,18 +31,29 @@ _LEVELS = Annotated[
     ),
 ]
 
+UnitsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="UNIT",
+        help="Unit of a raster's heights: m, ft, us-ft, dm, cm, mm, km, yd or fathom.",
+        autocompletion=complete_words(["m", "ft", "us-ft", "dm", "cm", "mm", "km", "yd", "fathom"]),
+    ),
+]
+PositiveOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="WAY", help="Where a raster's heights grow to: up, or down (depths).", autocompletion=complete_words(["up", "down"])
+    ),
+]
+
 _OPTIONS: dict[str, Any] = {
     "canopy": Annotated[
         Path | None, typer.Option(metavar="FILE", help="Trees on a raster: a raster of canopy heights, or points.")
     ],
     "buildings": Annotated[Path | None, typer.Option(metavar="FILE", help="Buildings on a raster: footprints with heights.")],
     "nodata": Annotated[float | None, typer.Option(metavar="VALUE", help="A raster's value of cells without a height.")],
-    "units": Annotated[
-        str | None,
-        typer.Option(
-            metavar="UNIT", help="Unit of a raster's heights: m, ft or us-ft.", autocompletion=complete_words(["m", "ft", "us-ft"])
-        ),
-    ],
+    "units": UnitsOption,
+    "positive": PositiveOption,
 }
 
 
@@ -78,6 +89,7 @@ def _find_all(names: list[str] | None, asked: dict[str, Any]) -> list[LevelSourc
 
 
 def _find(name: str, asked: dict[str, Any]) -> LevelSource:
-    from terrain.level.level_source import LevelSource, units_named
+    from terrain.level.level_source import LevelSource, direction_named, units_named
 
-    return LevelSource(path=find_level(name), **{**asked, "units": units_named("--units", asked["units"])})
+    named = {"units": units_named("--units", asked["units"]), "positive": direction_named("--positive", asked["positive"])}
+    return LevelSource(path=find_level(name), **{**asked, **named})

@@ -153,7 +153,7 @@ class _Staged:
         """The raster as an open level, one for each thread."""
         opened: OpenLevel | None = getattr(self._levels, "opened", None)
         if opened is None:
-            opened = self._levels.opened = open_level(self.path)
+            opened = self._levels.opened = open_level(self.path, units="m", positive="up")  # as arrays in memory
         return opened
 
 

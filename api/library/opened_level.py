@@ -35,7 +35,7 @@ from terrain.geo.clock import clock_named, date_of
 from terrain.geo.daily_windows import readings_of, windows_asked
 from terrain.level.camera_file import load_camera_path
 from terrain.level.level import load_level, parse_sun
-from terrain.level.level_source import LevelSource, units_named
+from terrain.level.level_source import LevelSource, direction_named, units_named
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
@@ -290,17 +290,15 @@ def open_level(
     buildings: Path | None = None,
     nodata: float | None = None,
     units: str | None = None,
+    positive: str | None = None,
 ) -> OpenLevel:
     """Open a level: a bundled one by its name, a level file, or a raster of heights, if wanted with ``canopy`` heights or trees,
-    footprints of ``buildings``, the value of cells without a height, and the unit of heights (``m``, ``ft`` or ``us-ft``). Raises
-    ``SkuggaError``.
+    footprints of ``buildings``, the value of cells without a height, the unit of heights (``m``, ``ft``, ``us-ft``, ...), and
+    whether they grow ``up`` or ``down``. Raises ``SkuggaError``.
     """
-    path = find_level(str(source))
-    return OpenLevel(
-        build_scene(
-            load_level(LevelSource(path=path, canopy=canopy, buildings=buildings, nodata=nodata, units=units_named("units", units)))
-        )
-    )
+    stated = {"units": units_named("units", units), "positive": direction_named("positive", positive)}
+    level = LevelSource(path=find_level(str(source)), canopy=canopy, buildings=buildings, nodata=nodata, **stated)
+    return OpenLevel(build_scene(load_level(level)))
 
 
 def open_heights(height_m: np.ndarray, transform: Affine, crs: Any) -> OpenLevel:
@@ -317,7 +315,8 @@ def open_heights(height_m: np.ndarray, transform: Affine, crs: Any) -> OpenLevel
             crs=CRS.from_user_input(crs).to_wkt(), transform=transform,
         ) as dataset:  # fmt: skip
             dataset.write(height_m, 1)
-        return OpenLevel(build_scene(load_level(held.name)), held)
+        metres = LevelSource(path=Path(held.name), units="m", positive="up")  # whatever the vertical axis of the CRS says
+        return OpenLevel(build_scene(load_level(metres)), held)
     except BaseException:
         held.close()
         raise

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from terrain.ground.elevation import Elevation
+from terrain.level.level_source import remedy
 
 BORDER_SHARE, HIGH_BORDER_SHARE = 0.05, 0.25
 BEYOND_SHARE = 0.05
@@ -67,7 +68,7 @@ class Collar:
         value = f"{self.value:.9g}"
         return (
             f"{100 * self.border_share:.0f} % of the raster's border is {value}, {self.cliff_m:.0f} m from the ground beside it: "
-            f"if that means no data, write terrain: {{nodata: {value}}} (of a raster without a level file: --nodata {value})"
+            f"if that means no data, {remedy('nodata', value)}"
         )
 
 
@@ -107,14 +108,14 @@ def collar_of(elevation: Elevation) -> Collar | None:
         across, behind = _steps(seen.values, region.cells, region.ground, value)
         if factor > 1:
             across, behind = _steps_at_full_detail(elevation, region, value, factor)
-        if found := _judged(seen, region, value, across * unit_m, behind * unit_m, unit_m):
+        if found := _judged(seen, region, value, across * abs(unit_m), behind * abs(unit_m), unit_m):
             return found
     if factor == 1:
         return None
     for strip in _strips(elevation):
         for value, region in _candidates(strip):
             across, behind = _steps(strip.values, region.cells, region.ground, value)
-            if found := _judged(strip, region, value, across * unit_m, behind * unit_m, unit_m):
+            if found := _judged(strip, region, value, across * abs(unit_m), behind * abs(unit_m), unit_m):
                 return found
     return None
 

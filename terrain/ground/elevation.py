@@ -17,8 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import rasterio
-from pyproj import CRS
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.fill import fillnodata
@@ -29,11 +27,14 @@ from terrain.cache import bytes_of
 from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
 from terrain.ground.georeference import crs_of
-from terrain.ground.open_raster import dataset_of_heights
+from terrain.ground.open_raster import dataset_of_heights, impossible_nodata
 from terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
+from terrain.ground.unmarked import UnmarkedCells
+from terrain.ground.vertical import vertical_axis
 from terrain.level.bundled import BUNDLED
 from terrain.level.gdal_guard import cap_caches
-from terrain.level.parts import METRES_PER_UNIT, GroundSurface, Units
+from terrain.level.level_source import remedy
+from terrain.level.parts import GroundSurface, Positive, Units
 
 FILL_CELLS = 64
 """How far from their rims holes are filled, in cells of the level read."""
@@ -44,12 +45,6 @@ PLAUSIBLE_M = (-11500.0, 9500.0)
 READ_BLOCK_CELLS = 1024
 """Side of the blocks by which heights at scattered points are read, so that few points far apart do not load a whole raster."""
 
-UNIT_WORDS: dict[str, Units] = {
-    "m": "m", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "ft": "ft", "foot": "ft", "feet": "ft",
-    "us-ft": "us-ft", "us survey foot": "us-ft", "ussurveyfoot": "us-ft", "ft-us": "us-ft",
-}  # fmt: skip
-"""What files call their units, in lower case."""
-
 cap_caches()
 
 
@@ -59,7 +54,8 @@ class Elevation:
     ``resolution_m`` is the finest detail that is drawn; ``None`` for the raster's own. ``made`` is a raster in memory that takes
     the place of the file ``source``. ``water_m`` is the height of standing water (``None``: no water): the surface wherever the
     ground, exaggerated, lies below it. Holes stay holes. ``surface`` is what lies between the cells' centres. ``nodata`` is a
-    value of the file's cells that means no height, besides the one that the file declares.
+    value of the file's cells that means no height, besides the one that the file declares. ``units`` and ``positive`` go before
+    what the file says of its heights; ``vertical`` is what they are taken as, ``unmarked`` which cells can be none.
 
     Raises ``SourceError`` if the raster is missing, broken, without a CRS, not where its CRS is, or
     without a single height.
@@ -75,6 +71,7 @@ class Elevation:
         water_m: float | None = None,
         surface: GroundSurface = "smooth",
         nodata: float | None = None,
+        positive: Positive | None = None,
     ) -> None:
         self.name = source
         self.surface = surface
@@ -90,20 +87,24 @@ class Elevation:
         dataset = self._dataset
         if dataset.count < 1 or dataset.dtypes[0].startswith("complex"):
             raise SourceError(source, dataset.dtypes[0] if dataset.count else "no band", "a first band of real numbers")
+        self.dtype, self.impossible_nodata = dataset.dtypes[0], None if nodata is not None else impossible_nodata(dataset)
         self.crs = crs_of(source, dataset)
         self.rows, self.cols = dataset.height, dataset.width
         self.flat = self.crs.is_engineering
-        self.units: Units | None = units or units_of(dataset, self.crs)
-        self._scale = dataset.scales[0] * METRES_PER_UNIT[self.units or "m"] * exaggeration
-        self._offset = dataset.offsets[0] * METRES_PER_UNIT[self.units or "m"] * exaggeration
+        self.vertical = vertical_axis(source, dataset, units, positive)
+        self._scale = dataset.scales[0] * self.vertical.scale * exaggeration
+        self._offset = dataset.offsets[0] * self.vertical.scale * exaggeration
         self._limits = tuple(v * exaggeration for v in PLAUSIBLE_M) if not self.flat else (-1e6, 1e6)
         self._cell_from_crs = ~dataset.transform
         x_cell = abs(dataset.transform.a)
         self._wrap = round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
-        self._resampling, self._unmarked = Resampling.nearest, False
+        self._resampling, self._settled, self.unmarked = Resampling.nearest, False, UnmarkedCells()
         self.overview = self._read_overview()
         if not np.isfinite(self.overview.heights_m).any():
-            raise SourceError(source, "no height in any cell (all nodata)", "a raster with heights")
+            if not self.unmarked.beyond:
+                raise SourceError(source, "no height in any cell (all nodata)", "a raster with heights")
+            beyond = f"no height on earth in any cell: {self.unmarked.range_beyond(self.vertical)}"
+            raise SourceError(source, beyond, f"their unit: {remedy('units', 'UNIT')}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -139,18 +140,12 @@ class Elevation:
         every so many of them.
         """
         window = Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
-        try:
-            data = self._dataset.read(1, window=window, out_shape=shape, masked=True)
-        except RasterioIOError:
-            raise SourceError(self.name, "a part that cannot be read", "an undamaged file") from None
-        height = data.data.astype(np.float64) * self._scale + self._offset
-        with np.errstate(invalid="ignore"):
-            plausible = (height >= self._limits[0]) & (height <= self._limits[1])
-        return data.data, plausible & ~np.ma.getmaskarray(data)
+        stored, _, marked, plausible = self._cells(window, shape, Resampling.nearest)
+        return stored, plausible & ~marked
 
     @property
     def metres_per_count(self) -> float:
-        """What a step of 1 of the file's cells is of height as drawn, metres."""
+        """What a step of 1 of the file's cells is of height as drawn, metres; below 0 where they count downwards."""
         return float(self._scale)
 
     def stored_range_m(self, cells: np.ndarray) -> tuple[float, float]:
@@ -312,19 +307,22 @@ class Elevation:
             col0 * factor, row0 * factor, min(col1 * factor, self.cols) - col0 * factor,
             min(row1 * factor, self.rows) - row0 * factor,
         )  # fmt: skip
+        stored, height_m, marked, plausible = self._cells(window, (row1 - row0, col1 - col0), self._resampling)
+        if not self._settled:
+            self.unmarked.add(stored, height_m, marked, plausible)
+        height_m[marked | ~plausible] = np.nan
+        return height_m.astype(np.float32)
+
+    def _cells(self, window: Window, shape: tuple[int, int] | None, resampling: Resampling) -> tuple[np.ndarray, ...]:
+        """Cells as the file has them, as heights in metres, float64; which are marked as empty, and which can be heights (bool)."""
         try:
-            data = self._dataset.read(
-                1, window=window, out_shape=(row1 - row0, col1 - col0), masked=True, resampling=self._resampling
-            )
+            data = self._dataset.read(1, window=window, out_shape=shape, masked=True, resampling=resampling)
         except RasterioIOError:
             raise SourceError(self.name, "a part that cannot be read", "an undamaged file") from None
-        values = data.data.astype(np.float64) * self._scale + self._offset
+        height_m = data.data.astype(np.float64) * self._scale + self._offset
         with np.errstate(invalid="ignore"):
-            plausible = (values >= self._limits[0]) & (values <= self._limits[1])
-        marked = np.ma.getmaskarray(data)
-        self._unmarked |= not (marked | plausible).all()
-        values[marked | ~plausible] = np.nan
-        return values.astype(np.float32)
+            plausible = (height_m >= self._limits[0]) & (height_m <= self._limits[1])
+        return data.data, height_m, np.ma.getmaskarray(data), plausible
 
     def _columns_of_a_turn(self, level: int) -> int:
         """Cells of a level after which a raster that goes round the earth meets itself."""
@@ -362,18 +360,8 @@ class Elevation:
 
     def _settle_resampling(self) -> None:
         """After what was read by nearest cells: averages from here on, unless there was an unmarked sentinel in it."""
-        self._resampling = Resampling.nearest if self._unmarked else Resampling.average
-
-
-def units_of(dataset: rasterio.DatasetReader, crs: CRS) -> Units | None:
-    """The unit of heights that a raster states, by itself or by a CRS of three axes; ``None`` where it states none."""
-    word = (dataset.units[0] or "").strip().lower()
-    if word in UNIT_WORDS:
-        return UNIT_WORDS[word]
-    axes = crs.axis_info
-    if len(axes) == 3:
-        return min(METRES_PER_UNIT, key=lambda u: abs(METRES_PER_UNIT[u] - axes[2].unit_conversion_factor))
-    return None
+        self._resampling = Resampling.nearest if self.unmarked.any_beyond else Resampling.average
+        self._settled = True
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,22 @@ MOST_CELL_M = 50_000.0
 TO_STATE_IT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
 
 
+def check_geotransform(source: str, dataset: rasterio.DatasetReader) -> None:
+    """Raise ``SourceError`` for a raster whose cells lie where points or polynomials say: it has to be warped first."""
+    if not dataset.transform.is_identity:
+        return
+    points = len(dataset.gcps[0])
+    ways = {
+        f"{points} ground control points": (points, ""),
+        "rational polynomials (RPCs)": (dataset.rpcs is not None, " -rpc"),
+        "arrays of coordinates": (dataset.tags(ns="GEOLOCATION"), " -geoloc"),
+    }
+    for way, (there, option) in ways.items():
+        if there:
+            needed = f"a raster with a geotransform ('gdalwarp{option} -t_srs EPSG:CODE {source} OUT.tif' makes one)"
+            raise SourceError(source, f"{way} and no geotransform", needed)
+
+
 def check_cells(source: str, dataset: rasterio.DatasetReader) -> None:
     """Raise ``SourceError`` for cells without a place or without a size."""
     if not np.isfinite(tuple(dataset.transform)).all() or dataset.transform.determinant == 0:
@@ -31,11 +47,12 @@ def check_cells(source: str, dataset: rasterio.DatasetReader) -> None:
 
 
 def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
-    """The CRS of an open raster that lies somewhere in it.
+    """The CRS of an open raster that lies somewhere in it, without its vertical axis: what is written in it has heights of its own.
 
     Raises ``SourceError`` where it has none, no place in it, or coordinates of another kind: metres in a CRS in degrees, or
     degrees in one in metres or feet.
     """
+    check_geotransform(source, dataset)
     gt, (rows, cols) = dataset.transform, dataset.shape
     col, row = np.array([0, cols, 0, cols]), np.array([0, 0, rows, rows])
     x, y = gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
@@ -71,4 +88,4 @@ def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
     unit_m = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0
     if crs.is_projected and (cell_m := float(np.sqrt(abs(gt.determinant))) * unit_m) > MOST_CELL_M:
         raise SourceError(source, f"cells of {cell_m / 1000.0:.4g} km", f"at most {MOST_CELL_M / 1000.0:g} km in {crs.name}")
-    return crs
+    return crs.to_2d() if len(crs.axis_info) == 3 else crs

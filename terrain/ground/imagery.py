@@ -12,7 +12,8 @@ from rasterio.errors import RasterioError
 from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
-from terrain.ground.georeference import check_cells
+from terrain.ground.georeference import check_cells, check_geotransform
+from terrain.ground.open_raster import dataset_with_masks
 from terrain.level.rasters import open_raster
 from terrain.srgb import linear_of_srgb
 
@@ -26,7 +27,10 @@ class Imagery:
     def __init__(self, source: str) -> None:
         self.name = source
         try:
-            with open_raster(source) as dataset:
+            with open_raster(source) as file:
+                dtype = np.dtype(file.dtypes[0] if file.count else "uint8")
+            with dataset_with_masks(source, (1, 2, 3)) as dataset:
+                check_geotransform(source, dataset)
                 if dataset.count < 3 or dataset.crs is None:
                     had = f"{dataset.count} bands" if dataset.count < 3 else "no coordinate reference system"
                     raise SourceError(source, had, "a raster with a CRS and red, green and blue as its first bands")
@@ -41,7 +45,9 @@ class Imagery:
         except (RasterioError, CRSError, OSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
             raise SourceError(source, reason or "it cannot be opened", "an RGB raster that GDAL reads") from None
-        self._levels = _averages(_linear(data, source), valid)
+        if data.dtype != dtype:  # whole numbers that have become real ones, with NaN where nothing is
+            data = np.rint(np.where(valid, data, 0)).astype(dtype)
+        self._levels = _averages(_linear(data, valid, source), valid)
 
     def cells(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """(Fractional) rows and columns (n, 2) float32 of map coordinates (n,); NaN where they have none.
@@ -84,12 +90,15 @@ class Imagery:
         return out
 
 
-def _linear(data: np.ndarray, source: str) -> np.ndarray:
-    """Linear colours (rows, cols, 3) float32 of bytes (sRGB), or of 16-bit numbers taken as stretched to their 98th percentile."""
+def _linear(data: np.ndarray, valid: np.ndarray, source: str) -> np.ndarray:
+    """Linear colours (rows, cols, 3) float32 of bytes (sRGB), or of 16-bit numbers taken as stretched to the 98th percentile of the
+    valid ones.
+    """
     if data.dtype == np.uint8:
         coded = data.astype(np.float32) / 255.0
     elif data.dtype.kind in "ui":
-        top = float(np.percentile(data, 98)) or 1.0
+        top = float(np.percentile(data[:, valid], 98)) if valid.any() else 1.0
+        top = top or 1.0
         coded = np.clip(data.astype(np.float32) / top, 0.0, 1.0)
     else:
         raise SourceError(source, str(data.dtype), "bands of 8 or 16 bits")

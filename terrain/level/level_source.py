@@ -9,15 +9,21 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 from terrain.errors import InputError, printable
-from terrain.level.parts import METRES_PER_UNIT, Units
+from terrain.level.parts import METRES_PER_UNIT, Positive, Units
 
 KEYS_OF_OPTIONS = {
     "canopy": "forest: [{source: FILE}]",
     "buildings": "meshes: [{source: FILE}]",
     "nodata": "terrain: {nodata: VALUE}",
     "units": "terrain: {units: UNIT}",
+    "positive": "terrain: {positive: down}",
 }
 """What may be said of a raster beside its path, and how a level file says the same."""
+
+
+def remedy(option: str, value: str) -> str:
+    """What to write, where a raster does not say something or says it wrongly, as a phrase."""
+    return f"write terrain: {{{option}: {value}}} (of a raster without a level file: --{option} {value})"
 
 
 def units_named(parameter: str, name: str | None) -> Units | None:
@@ -28,12 +34,19 @@ def units_named(parameter: str, name: str | None) -> Units | None:
     return found
 
 
+def direction_named(parameter: str, name: str | None) -> Positive | None:
+    """The direction that a raster's numbers grow in, by its name. Raises ``InputError``, which names the parameter."""
+    if name in (None, "up", "down"):
+        return name  # type: ignore[return-value]
+    raise InputError(parameter, name, "up, of heights, or down, of depths")
+
+
 class LevelSource(BaseModel):
     """A level file's path, or that of a raster that is a level by itself: its ground, and all else by default.
 
     With a raster go, if wanted, ``canopy`` (a raster of canopy heights, or trees as points), ``buildings`` (footprints with
-    heights), ``nodata``, the cells' value that means that no height is known there, and ``units`` of heights. Of a level file
-    they are ``None``.
+    heights), ``nodata``, the cells' value that means that no height is known there, ``units`` of heights, and ``positive``, where
+    they grow to. Of a level file they are ``None``.
 
     ``roots`` are folders in one of which, or below, all has to lie that the level is read from; ``None``: anywhere.
     """
@@ -45,6 +58,7 @@ class LevelSource(BaseModel):
     buildings: Path | None = None
     nodata: float | None = None
     units: Units | None = None
+    positive: Positive | None = None
     roots: tuple[Path, ...] | None = None
 
     @classmethod
@@ -60,7 +74,8 @@ class LevelSource(BaseModel):
     @property
     def level_keys(self) -> dict[str, Any]:
         """The level file's keys that say the same of the raster as this does."""
-        stated = {name: value for name, value in (("nodata", self.nodata), ("units", self.units)) if value is not None}
+        names = "nodata", "units", "positive"
+        stated = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return {
             "version": 1,
             "title": printable(self.path.stem),

@@ -13,8 +13,14 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from terrain.level.model import MapPosition, Model, Position
 from terrain.level.motion import LampMotion, MeshMotion, wrong_parts
 
-Units = Literal["m", "ft", "us-ft"]
-METRES_PER_UNIT: dict[Units, float] = {"m": 1.0, "ft": 0.3048, "us-ft": 1200.0 / 3937.0}
+Units = Literal["m", "ft", "us-ft", "dm", "cm", "mm", "km", "yd", "fathom"]
+METRES_PER_UNIT: dict[Units, float] = {
+    "m": 1.0, "ft": 0.3048, "us-ft": 1200.0 / 3937.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "km": 1000.0, "yd": 0.9144,
+    "fathom": 1.8288,
+}  # fmt: skip
+
+Positive = Literal["up", "down"]
+"""Whether numbers grow upwards, as heights do, or downwards, as depths (the attribute ``positive`` of the CF conventions)."""
 
 Species = Literal["conifer", "broadleaf", "mixed"]
 MeshGenerator = Literal["boxgrid", "rocks", "street", "room", "water_tower", "tetrahedra", "wood_hill"]
@@ -77,7 +83,8 @@ class Terrain(Model):
     """The ground: a raster of heights, or a floor or ground that is made.
 
     ``bounds`` (west, south, east, north, degrees) says which part is looked at: it places the anchor and the default
-    view; ground beyond it still casts. ``resolution`` is in metres, ``exaggeration`` multiplies heights. ``nodata`` is a value of
+    view; ground beyond it still casts. ``resolution`` is in metres, ``exaggeration`` multiplies heights. ``units`` and ``positive``
+    say what the raster's numbers are (``None``: what it says itself, else metres, up). ``nodata`` is a value of
     the raster's cells that means no height, besides the one that the file declares. ``imagery`` is an RGB raster draped over the
     ground. ``surface`` is what lies between the heights: ``smooth`` (bilinear between the cells' centres) or, in maps, ``blocks``
     (every cell is a column with a flat top and upright walls, as in surface models of cities).
@@ -89,6 +96,7 @@ class Terrain(Model):
     bounds: tuple[float, float, float, float] | None = None
     resolution: float | None = Field(default=None, gt=0)
     units: Units | None = None
+    positive: Positive | None = None
     nodata: float | None = None
     exaggeration: float = Field(default=1.0, gt=0, le=100)
     imagery: FileName | None = None
@@ -109,6 +117,8 @@ class Terrain(Model):
             raise PydanticCustomError("ground", "one of source, flat and generate")
         if self.nodata is not None and self.source is None:
             raise PydanticCustomError("ground", "nodata of a source: made ground has no cells without a height")
+        if self.positive == "down" and self.source is None:
+            raise PydanticCustomError("ground", "positive: down of a source: made ground grows upwards")
         return self
 
 

@@ -7,7 +7,6 @@ canopy bears trees a window apart.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -15,16 +14,15 @@ import numpy as np
 import shapely
 from pyproj import CRS
 from pyproj.exceptions import CRSError
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.vectors import between, same_coordinates
-from terrain.ground.elevation import UNIT_WORDS
-from terrain.ground.georeference import check_cells
-from terrain.level.parts import METRES_PER_UNIT
-from terrain.level.rasters import open_raster
+from terrain.ground.georeference import check_cells, check_geotransform
+from terrain.ground.open_raster import dataset_with_masks
+from terrain.ground.vertical import vertical_axis
 from terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
 
 LEAST_HEIGHT_M, MOST_HEIGHT_M = 2.0, 150.0
@@ -85,21 +83,20 @@ class Canopy:
     def __init__(self, source: str) -> None:
         self.name = source
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below with a sentence of our own
-                self._dataset = dataset = open_raster(source)
+            self._dataset = dataset = dataset_with_masks(source)
             crs = CRS.from_user_input(dataset.crs.to_wkt()) if dataset.crs else None
         except (RasterioError, CRSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
             raise SourceError(source, reason or "it cannot be opened", "a raster with a CRS that GDAL reads") from None
         if dataset.count < 1 or dataset.dtypes[0].startswith("complex"):
             raise SourceError(source, dataset.dtypes[0] if dataset.count else "no band", "a first band of canopy heights")
+        check_geotransform(source, dataset)
         if crs is None:
             raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
         self.crs = crs
         check_cells(source, dataset)
-        unit = METRES_PER_UNIT[UNIT_WORDS.get((dataset.units[0] or "").strip().lower(), "m")]
-        self._scale, self._offset = dataset.scales[0] * unit, dataset.offsets[0] * unit
+        unit_m = vertical_axis(source, dataset).unit_m  # a canopy grows upwards, whatever its vertical CRS does
+        self._scale, self._offset = dataset.scales[0] * unit_m, dataset.offsets[0] * unit_m
         self.rows, self.cols = dataset.height, dataset.width
 
     def heights_m(self, row0: int, col0: int, rows: int, cols: int) -> np.ndarray:

@@ -135,9 +135,40 @@ def test_feet_that_nobody_has_named_are_asked_about_and_mended(gl, run, site):
     assert status == 2 and "--units: 'yards' is not allowed; allowed: m, ft, us-ft" in err
 
 
+def test_validate_says_what_heights_are_taken_as(run, site):
+    """A plain 100 m deep with a mount 20 m deep; who says so, and what a unit that is not known needs."""
+    depths = np.full((40, 40), 100.0, np.float32)
+    depths[15:25, 15:25] = 20.0
+    named = str(write_geotiff(site / "named.tif", depths, "EPSG:32633+5715", WEST, NORTH, CELL))
+    plain = str(write_geotiff(site / "plain.tif", depths, "EPSG:32633", WEST, NORTH, CELL))
+    fathoms = str(write_geotiff(site / "fathoms.tif", depths / np.float32(1.8288), "EPSG:32633", WEST, NORTH, CELL))
+    with rasterio.open(fathoms, "r+") as dataset:
+        dataset.units = ("fathoms",)
+    odd = str(write_geotiff(site / "odd.tif", depths, "EPSG:32633", WEST, NORTH, CELL))
+    with rasterio.open(odd, "r+") as dataset:
+        dataset.units = ("furlong",)
+    for given, heights, said in (
+        ((named,), "-100 to -20 m", "heights in m (by its band), positive down (by its CRS 'MSL depth')"),
+        ((named, "--positive", "up"), "20 to 100 m", "heights in m (by its band), positive up (by terrain.positive)"),
+        ((plain,), "20 to 100 m", "heights in m (nothing says a unit), positive up (nothing says a direction); if that is wrong"),
+        ((plain, "--positive", "down"), "-100 to -20 m", "positive down (by terrain.positive)"),
+        ((plain, "--units", "dm"), "2 to 10 m", "heights in dm (by terrain.units), positive up"),
+        ((fathoms, "--positive", "down"), "-100 to -20 m", "heights in fathom (by its band), positive down"),
+    ):
+        status, out, err = run("validate", *given)
+        assert (status, err) == (0, "") and f"heights {heights}," in out and said in out, given
+    status, _, err = run("validate", odd)
+    assert status == 2 and "unit furlong of its band" in err and "us-ft, dm" in err and err.count("\n") == 1
+    assert run("validate", odd, "--units", "fathom")[0] == 0
+    assert run("init", plain, "--positive", "down", "-o", str(site / "depths.yaml"))[::2] == (0, "")
+    assert "\n  positive: down\n" in (site / "depths.yaml").read_text()
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (("validate", "level.yaml", "--positive", "down"), ("positive", "level.yaml", "terrain: {positive: down}")),
+        (("validate", "dem.tif", "--positive", "below"), ("--positive", "below", "up, of heights, or down, of depths")),
         (("validate", "level.yaml", "--canopy", "canopy.tif"), ("canopy", "level.yaml", "forest: [{source: FILE}]")),
         (("validate", "level.yaml", "--buildings", "houses.geojson"), ("buildings", "level.yaml", "meshes: [{source: FILE}]")),
         (("validate", "level.yaml", "--nodata", "0"), ("nodata", "level.yaml", "terrain: {nodata: VALUE}")),

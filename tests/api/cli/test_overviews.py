@@ -126,6 +126,21 @@ def test_a_value_that_only_the_caller_knows_to_be_none(run, tmp_path):
     assert status == 2 and "--nodata" in err and "int16" in err
 
 
+@pytest.mark.parametrize("case", ["named depths", "depths", "feet", "feet that are named"])
+def test_means_are_of_all_that_are_heights_by_their_unit_and_direction(run, tmp_path, case):
+    """Depths of up to 10,900 m, and heights of up to 14,400 ft: as metres upwards they would be none."""
+    values = relief(np.float32)
+    depth = "depths" in case
+    values = (9000 if depth else 6000) + (values - values.min()) * ((1900 if depth else 8400) / np.ptp(values))
+    crs = "EPSG:32633+5715" if case == "named depths" else "EPSG:32633+8228" if "named" in case else "EPSG:32633"
+    path = write_geotiff(tmp_path / "dem.tif", values, crs, 500e3, 5200e3, 30.0, tiled=True, geotiff_version="1.0")
+    given = () if "named" in case else ("--positive", "down") if depth else ("--units", "ft")
+    assert run("overviews", str(path), *given)[0] == 0
+    with rasterio.open(path, OVERVIEW_LEVEL=0) as dataset:
+        found = dataset.read(1)[:550]
+    np.testing.assert_allclose(found, values[:1100].reshape(550, 2, 650, 2).mean((1, 3)), rtol=1e-6)
+
+
 def test_a_small_raster_needs_none(run, tmp_path):
     path = raster_of(tmp_path, relief()[:300, :400])
     status, out, err = run("overviews", str(path))

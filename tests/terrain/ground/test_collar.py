@@ -59,6 +59,13 @@ def test_scaled_cells_are_compared_in_metres(tmp_path):
         assert (collar_of(Elevation(str(path))) is not None) is there
 
 
+def test_depths_have_collars_as_heights_have(tmp_path):
+    depths = rotate(hills(200, 200), 15.0, order=0, cval=0.0)
+    path = write_geotiff(tmp_path / "depths.tif", depths, "EPSG:32633", 500e3, 5200e3, 30.0)
+    collar = collar_of(Elevation(str(path), positive="down"))
+    assert collar is not None and collar.value == 0.0 and collar.cliff_m == pytest.approx(600.0, abs=120.0)
+
+
 @pytest.mark.parametrize("level_m", [350.0, 500.0, 700.0])
 def test_a_sea_or_lake_is_none(tmp_path, level_m):
     for rows in (300, 1400):

@@ -5,10 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rasterio
+import rasterio.control
+import rasterio.rpc
 from affine import Affine
 
 from terrain.errors import SourceError
+from terrain.ground.elevation import Elevation
 from terrain.ground.georeference import crs_of
+from terrain.ground.imagery import Imagery
+from terrain.trees.canopy import Canopy
 from tests.rasters import ENGINEERING, write_geotiff
 
 UTM, DEGREES = (500e3, 5200e3, 30.0), (12.5, 47.2, 3e-4)
@@ -60,3 +65,32 @@ def test_cells_without_a_size_or_place(tmp_path):
         crs_at(tmp_path, "EPSG:32633", UTM, transform=Affine.identity())
     with pytest.raises(SourceError, match="cells of a size above 0"):
         crs_at(tmp_path, "EPSG:32633", UTM, transform=Affine(0, 0, 5e5, 0, 0, 5e6))
+
+
+GCPS = [rasterio.control.GroundControlPoint(row, col, 12.5 + col * 3e-4, 47.2 - row * 3e-4) for row in (0, 40) for col in (0, 50)]
+RPCS = rasterio.rpc.RPC(
+    height_off=0.0, height_scale=500.0, lat_off=47.2, lat_scale=0.01, long_off=12.5, long_scale=0.01, line_off=20.0,
+    line_scale=20.0, samp_off=25.0, samp_scale=25.0,
+    line_num_coeff=[0.0, 0.0, -1.0] + [0.0] * 17, line_den_coeff=[1.0] + [0.0] * 19,
+    samp_num_coeff=[0.0, 1.0] + [0.0] * 18, samp_den_coeff=[1.0] + [0.0] * 19,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"gcps": GCPS, "crs": "EPSG:4326"}, "4 ground control points and no geotransform"),
+        ({"rpcs": RPCS}, "rational polynomials (RPCs) and no geotransform"),
+    ],
+)
+@pytest.mark.parametrize("reader", [Elevation, Canopy, Imagery])
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_points_or_polynomials_alone_are_to_be_warped(tmp_path, keys, words, reader):
+    path = tmp_path / "scene.tif"
+    with rasterio.open(path, "w", driver="GTiff", width=50, height=40, count=3, dtype="uint8", **keys) as dataset:
+        dataset.write(np.ones((3, 40, 50), np.uint8))
+    with pytest.raises(SourceError) as caught:
+        reader(str(path))
+    message = str(caught.value)
+    assert words in message and f"-t_srs EPSG:CODE {path} OUT.tif" in message and "\n" not in message
+    assert ("gdalwarp -rpc " if "rpcs" in keys else "gdalwarp -t_srs") in message

@@ -45,7 +45,7 @@ def test_scale_and_unit_are_kept(tmp_path):
     with rasterio.open(path, "r+") as dataset:
         dataset.scales, dataset.offsets, dataset.units = (0.5,), (20.0,), ("ft",)
     elevation = Elevation(str(path), nodata=-1)
-    assert elevation.units == "ft"
+    assert elevation.vertical.unit == "ft"
     np.testing.assert_allclose(np.nanmax(elevation.overview.heights_m), 520.0 * 0.3048, rtol=1e-6)
     assert np.isnan(elevation.overview.heights_m[0]).all()
 

@@ -1,0 +1,158 @@
+"""What a raster's numbers are as heights: their unit, and whether they grow upwards or downwards.
+
+A band says its unit in words; a vertical CRS (the third axis of a compound or a three-dimensional one) has a unit and a direction:
+a depth grows downwards. What a level says goes before both, what a band says before its CRS.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import rasterio
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+from rasterio.errors import RasterioError
+
+from terrain.errors import SourceError
+from terrain.level.level_source import remedy
+from terrain.level.parts import METRES_PER_UNIT, Positive, Units
+
+_WORDS: dict[Units, str] = {
+    "m": "m metre meter metres meters mtr masl mamsl",
+    "ft": "ft foot feet fti ftint intft internationalfoot internationalfeet footinternational footint",
+    "us-ft": (
+        "usft ftus footus feetus usfoot usfeet ussurveyfoot ussurveyfeet ussurveyft surveyfoot surveyfeet surveyft "
+        "footussurvey feetussurvey ftussurvey footsurveyus"
+    ),
+    "dm": "dm decimetre decimeter decimetres decimeters",
+    "cm": "cm centimetre centimeter centimetres centimeters",
+    "mm": "mm millimetre millimeter millimetres millimeters",
+    "km": "km kilometre kilometer kilometres kilometers",
+    "yd": "yd yds ydi yard yards",
+    "fathom": "fathom fathoms fath fth fthi ftm fm",
+}
+UNIT_WORDS: dict[str, Units] = {word: unit for unit, words in _WORDS.items() for word in words.split()}
+"""What files call their units, as small letters and nothing else."""
+
+NO_UNIT_WORDS = ("", "1", "unknown", "undefined", "unspecified", "unitless", "none", "na")
+"""What files say that state no unit."""
+
+_LEVEL_OF_REFERENCE = re.compile(r"\s*(\(.*\)|\[.*\]|a\.?m?\.?s\.?l\.?|above\b.*)\s*$", re.IGNORECASE)
+_SAME_UNIT = 1e-7
+"""Relative difference up to which units are one: a foot and a US survey foot differ by 2e-6."""
+
+_DEPTH_NAMES = ("depth", "sea_floor_depth")
+"""How CF standard names of depths begin."""
+
+
+@dataclass(frozen=True)
+class VerticalAxis:
+    """The axis that a raster's numbers are counted on.
+
+    Attributes
+    ----------
+    unit
+        A name of ``METRES_PER_UNIT``, or its length.
+    unit_m
+        Metres of the unit.
+    unit_from, positive_from
+        Who says the unit and the direction, in words; ``None`` where nobody does.
+    positive
+        Whether numbers grow upwards or downwards.
+    other_unit
+        Another unit that the raster states, too, in words.
+    """
+
+    unit: str
+    unit_m: float
+    unit_from: str | None
+    positive: Positive
+    positive_from: str | None
+    other_unit: str | None = None
+
+    @property
+    def scale(self) -> float:
+        """Metres upwards of a step of 1."""
+        return self.unit_m if self.positive == "up" else -self.unit_m
+
+    @property
+    def statement(self) -> str:
+        """Unit and direction, and who says them, as a phrase."""
+        unit = f"heights in {self.unit} ({self.unit_from or 'nothing says a unit'})"
+        return f"{unit}, positive {self.positive} ({self.positive_from or 'nothing says a direction'})"
+
+
+def vertical_axis(
+    source: str, dataset: rasterio.DatasetReader, units: Units | None = None, positive: Positive | None = None
+) -> VerticalAxis:
+    """The axis of the first band of an open raster; ``units`` and ``positive`` are what a level says.
+
+    Raises ``SourceError`` for a band's unit that is not known.
+    """
+    of_crs = _axis_of_crs(dataset)
+    stated = None if units is None else (units, METRES_PER_UNIT[units], "by terrain.units")
+    band_unit = unit_of_band(source, dataset, of_crs.unit_name) if units is None else None
+    of_band = None if band_unit is None else (band_unit, METRES_PER_UNIT[band_unit], "by its band")
+    by_crs = None if of_crs.unit_m is None else (_name_of(of_crs.unit_m), of_crs.unit_m, of_crs.by)
+    name, unit_m, unit_from = stated or of_band or by_crs or ("m", 1.0, None)
+    differs = of_band is not None and by_crs is not None and abs(by_crs[1] / unit_m - 1.0) > _SAME_UNIT
+    directions: list[tuple[Positive | None, str | None]]
+    directions = [(positive, "by terrain.positive"), (_positive_of_band(dataset), "by its band"), (of_crs.positive, of_crs.by)]
+    direction, positive_from = next(((way, by) for way, by in directions if way is not None), ("up", None))
+    other = f"in {by_crs[0]} {of_crs.by}" if by_crs is not None and differs else None
+    return VerticalAxis(name, unit_m, unit_from, "down" if direction == "down" else "up", positive_from, other)
+
+
+@dataclass(frozen=True)
+class _CrsAxis:
+    """The third axis of a CRS, where it has one: its unit and metres of it, where it grows to, and whose it is, in words."""
+
+    unit_name: str | None = None
+    unit_m: float | None = None
+    positive: Positive | None = None
+    by: str = ""
+
+
+def _axis_of_crs(dataset: rasterio.DatasetReader) -> _CrsAxis:
+    try:
+        crs = None if dataset.crs is None else CRS.from_user_input(dataset.crs.to_wkt())
+    except (CRSError, RasterioError):  # refused by who needs the CRS
+        crs = None
+    if crs is None or len(crs.axis_info) != 3:
+        return _CrsAxis()
+    axis, parts = crs.axis_info[2], crs.sub_crs_list
+    positive: Positive | None = "down" if axis.direction == "down" else "up" if axis.direction == "up" else None
+    unit_m = float(axis.unit_conversion_factor or 1.0)
+    return _CrsAxis(axis.unit_name, unit_m, positive, f"by its CRS '{parts[-1].name if parts else crs.name}'")
+
+
+def unit_of_band(source: str, dataset: rasterio.DatasetReader, crs_word: str | None = None) -> Units | None:
+    """The unit of a raster's first band in words that it states; ``None`` where it states none, or that of its CRS, ``crs_word``,
+    which is no word of ours (GDAL repeats it). Raises ``SourceError``.
+    """
+    word = dataset.units[0] or ""
+    unit = next((UNIT_WORDS[plain] for plain in _plain_words(word) if plain in UNIT_WORDS), None)
+    if unit is None and _plain_words(word)[0] not in NO_UNIT_WORDS and word != crs_word:
+        known = f"one of {', '.join(METRES_PER_UNIT)} or their long names; of ground, else {remedy('units', 'UNIT')}"
+        raise SourceError(source, f"unit {word} of its band", known)
+    return unit
+
+
+def _plain_words(word: str) -> tuple[str, str]:
+    """A unit's word as small letters and nothing else: the whole of it, and without the level that heights are counted from."""
+    whole, alone = (re.sub(r"[\W_]+", "", text).casefold() for text in (word, _LEVEL_OF_REFERENCE.sub("", word)))
+    return whole, alone
+
+
+def _name_of(unit_m: float) -> str:
+    """The name of a unit by its length, or the length."""
+    return next((name for name, metres in METRES_PER_UNIT.items() if abs(unit_m / metres - 1.0) <= _SAME_UNIT), f"{unit_m:.9g} m")
+
+
+def _positive_of_band(dataset: rasterio.DatasetReader) -> Positive | None:
+    tags = dataset.tags(1)
+    stated = tags.get("positive", "").strip().lower()
+    if stated in ("up", "down"):
+        return "down" if stated == "down" else "up"
+    return "down" if tags.get("standard_name", "").startswith(_DEPTH_NAMES) else None

@@ -1,0 +1,202 @@
+"""Cells that a file declares empty, in whichever way and in several at once, are no ground, no canopy and no picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.enums import ColorInterp, Resampling
+
+from terrain.errors import SourceError
+from terrain.ground import open_raster as module
+from terrain.ground.elevation import Elevation
+from terrain.ground.imagery import Imagery
+from terrain.trees.canopy import Canopy
+from tests.rasters import write_geotiff
+
+SIDE = 64
+FILLER = 500
+"""What empty cells have: a wall, where it is taken for ground."""
+
+OWN, STATED = 7, 9
+"""Nodata values of the file and of the level."""
+
+
+def empty_cells() -> dict[str, np.ndarray]:
+    """Which cells each way of declaring it says to be empty."""
+    cells = {name: np.zeros((SIDE, SIDE), bool) for name in ("beside", "nodata", "stated")}
+    cells["beside"][12:29, 7:23] = True
+    cells["nodata"][40:51, 33:47] = True
+    cells["stated"][3:6, 50:60] = True
+    return cells
+
+
+WAYS = {
+    "none": {},
+    "nodata": {"nodata": OWN},
+    "alpha": {"alpha": 2},
+    "alpha in a third band": {"alpha": 3},
+    "alpha and nodata": {"alpha": 2, "nodata": OWN},
+    "mask": {"mask": "inside"},
+    "msk": {"mask": "beside"},
+    "mask and nodata": {"mask": "inside", "nodata": OWN},
+    "msk and nodata": {"mask": "beside", "nodata": OWN},
+    "msk and alpha": {"mask": "beside", "alpha": 2},
+}
+
+
+def write(path: Path, heights: np.ndarray, alpha=None, mask=None, nodata=None, overviews=()) -> tuple[Path, np.ndarray]:
+    """A raster that declares its empty cells so; and which those are."""
+    cells, bands = empty_cells(), [heights]
+    empty = np.zeros_like(cells["beside"])
+    heights[cells["nodata"]], heights[cells["stated"]] = OWN, STATED
+    if nodata is not None:
+        empty |= cells["nodata"]
+    by_alpha = np.roll(cells["beside"], 20, axis=1) if mask and alpha else cells["beside"]
+    for number in range(2, 1 + (alpha or 1)):
+        opaque = 1 if heights.dtype.kind == "f" else np.iinfo(heights.dtype).max
+        bands.append(np.where(by_alpha, 0, opaque).astype(heights.dtype) if number == alpha else np.full_like(heights, 3))
+    for declared, there in ((by_alpha, alpha), (cells["beside"], mask)):
+        if there:
+            heights[declared], empty = FILLER % (np.iinfo("uint8").max if heights.dtype == np.uint8 else 10**9), empty | declared
+    with (
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=mask == "inside"),
+        rasterio.open(
+            path, "w", driver="GTiff", width=SIDE, height=SIDE, count=len(bands), dtype=heights.dtype, crs="EPSG:32633",
+            transform=rasterio.Affine(10, 0, 500e3, 0, -10, 5200e3), nodata=nodata, tiled=True, blockxsize=16, blockysize=16,
+        ) as dataset,
+    ):  # fmt: skip
+        dataset.colorinterp = [ColorInterp.alpha if number == alpha else ColorInterp.gray for number in range(1, len(bands) + 1)]
+        dataset.write(np.stack(bands))
+        if mask:
+            dataset.write_mask(~cells["beside"])
+    if overviews:
+        with rasterio.open(path, "r+") as dataset:
+            dataset.build_overviews(overviews, Resampling.average)
+    return path, empty
+
+
+def means(heights: np.ndarray, valid: np.ndarray, factor: int) -> np.ndarray:
+    """Of the valid of factor x factor cells; NaN where there is none."""
+    count, shape = SIDE // factor, (SIDE // factor, factor, SIDE // factor, factor)
+    known = valid.reshape(shape).sum(axis=(1, 3))
+    total = np.where(valid, heights, 0).astype(float).reshape(shape).sum(axis=(1, 3))
+    return np.divide(total, known, out=np.full((count, count), np.nan), where=known > 0)
+
+
+def seen_of(elevation: Elevation, level: int) -> np.ndarray:
+    """Heights of a level's cells, NaN where there is no surface."""
+    middle = np.arange(SIDE // 2**level) * 2.0**level + (2**level - 1) / 2
+    height, there = elevation.heights_at(level, *np.meshgrid(middle, middle, indexing="ij"))
+    return np.where(there, height, np.nan)
+
+
+@pytest.mark.parametrize("is_large", [False, True], ids=["small", "large"])
+@pytest.mark.parametrize("stated", [None, STATED])
+@pytest.mark.parametrize("dtype", ["float32", "int16", "uint16", "uint8"])
+@pytest.mark.parametrize("way", WAYS)
+def test_declared_empty_cells_are_no_ground_at_any_zoom(tmp_path, monkeypatch, way, dtype, stated, is_large):
+    """A large raster is read by the overviews of its file, where those were made with all that declares cells empty."""
+    if is_large:
+        monkeypatch.setattr(module, "EXACT_HIGH_CELLS", 100)
+    heights = np.random.default_rng(1).integers(100, 200, (SIDE, SIDE)).astype(dtype)
+    path, empty = write(tmp_path / "dem.tif", heights, **WAYS[way], overviews=() if stated else (2, 4))
+    if stated:
+        empty = empty | (heights == STATED)
+    elevation = Elevation(str(path), nodata=stated)
+    for level in (0, 1, 2):
+        expected = means(heights, ~empty, 2**level)
+        seen = seen_of(elevation, level)
+        np.testing.assert_array_equal(np.isnan(seen), np.isnan(expected))
+        by_overviews = level * is_large * (not stated) * 100.0  # means of means, of more cells or less: no filler among them
+        tolerance = 0.51 if np.dtype(dtype).kind in "iu" and level else 1e-3
+        np.testing.assert_allclose(seen[~np.isnan(seen)], expected[~np.isnan(seen)], atol=max(tolerance, by_overviews))
+    elevation.close()
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_declared_empty_cells_bear_no_trees(tmp_path, way):
+    path, empty = write(tmp_path / "chm.tif", np.full((SIDE, SIDE), 20, np.float32), **WAYS[way])
+    with rasterio.open(path, "r+") as dataset:
+        values = dataset.read(1)
+        values[empty] = 30.0
+        values[empty & (empty_cells()["nodata"])] = OWN
+        dataset.write(values, 1)
+    canopy = Canopy(str(path))
+    np.testing.assert_array_equal(canopy.heights_m(0, 0, SIDE, SIDE) > 0, ~empty)
+    canopy.close()
+
+
+@pytest.mark.parametrize("declared", ["alpha", "alpha and nodata", "alpha in a fifth band", "msk and nodata"])
+def test_declared_empty_cells_are_no_imagery(tmp_path, declared):
+    """Nor do they brighten what is left of 16 bits."""
+    empty, dark = np.zeros((SIDE, SIDE), bool), np.zeros((SIDE, SIDE), bool)
+    empty[:20], dark[40:50] = True, "nodata" in declared
+    color = np.full((3, SIDE, SIDE), 1000, np.uint16)
+    color[:, empty], color[:, dark] = 65535, 5
+    alpha = 0 if "msk" in declared else 5 if "fifth" in declared else 4
+    more = [np.where(empty, 0, 65535).astype(np.uint16)[None]] * max(alpha - 3, 0)
+    path = tmp_path / "ortho.tif"
+    bands = np.concatenate([color, *more])
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False), rasterio.open(
+        path, "w", driver="GTiff", width=SIDE, height=SIDE, count=len(bands), dtype="uint16", crs="EPSG:32633",
+        transform=rasterio.Affine(10, 0, 500e3, 0, -10, 5200e3), nodata=5 if "nodata" in declared else None,
+    ) as dataset:  # fmt: skip
+        named = [ColorInterp.red, ColorInterp.green, ColorInterp.blue, *[ColorInterp.undefined] * len(more)]
+        dataset.colorinterp = [ColorInterp.alpha if number == alpha else name for number, name in enumerate(named, 1)]
+        dataset.write(bands)
+        if not alpha:
+            dataset.write_mask(~empty)
+    row, col = np.mgrid[:SIDE, :SIDE].astype(np.float32)
+    seen = Imagery(str(path)).albedo(np.stack([row, col], axis=-1), 1.0)
+    inside = ~np.isnan(seen).any(axis=-1)
+    valid = ~(empty | dark)
+    np.testing.assert_array_equal(inside[:-1], valid[:-1] & valid[1:])  # a colour lies between two rows
+    np.testing.assert_allclose(seen[inside], 1.0, atol=1e-6)
+
+
+def test_a_wall_of_filler_behind_an_alpha_band_throws_no_shadow(tmp_path):
+    """Of 500 m, with the sun 39.8 degrees high it would be 600 m long: 60 cells."""
+    import skugga
+
+    heights = np.zeros((2, SIDE, 2 * SIDE), np.float32)
+    heights[1] = 1.0
+    heights[0, :, :20], heights[1, :, :20] = 500.0, 0.0
+    heights[0, 30:34, 70:74] = 50.0  # a tower, whose shadow stays: 6 cells
+    path = tmp_path / "dem.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=2 * SIDE, height=SIDE, count=2, dtype="float32", crs="EPSG:32633",
+        transform=rasterio.Affine(10, 0, 500e3, 0, -10, 5200e3),
+    ) as dataset:  # fmt: skip
+        dataset.colorinterp = [ColorInterp.gray, ColorInterp.alpha]
+        dataset.write(heights)
+    with skugga.open_level(path) as level:
+        mask = level.shade("mask", azimuth=270.0, altitude=float(np.degrees(np.arctan2(500.0, 600.0))))
+    assert (mask[:, :20] == 128).all() and (mask[:, 20:70] == 255).all()
+    assert (mask[32, 75:79] == 0).all() and (mask[:, 82:] == 255).all()
+
+
+def test_a_mask_stays_where_a_level_names_nodata(tmp_path):
+    """Together with a wrong value of nodata it is still refused by name."""
+    path, empty = write(tmp_path / "dem.tif", np.full((SIDE, SIDE), 100, np.uint16), mask="inside")
+    assert np.isnan(seen_of(Elevation(str(path), nodata=STATED), 0))[empty].all()
+    with pytest.raises(SourceError, match="dem.tif: nodata: .*uint16"):
+        Elevation(str(path), nodata=-1.0)
+
+
+@pytest.mark.parametrize(("dtype", "word"), [("int16", "nan"), ("uint16", "-9999"), ("uint8", "1e+20")])
+def test_a_nodata_value_that_no_cell_can_have_is_told(tmp_path, make_scene, dtype, word):
+    write_geotiff(tmp_path / "cells.tif", np.full((SIDE, SIDE), 100, dtype), "EPSG:32633", 500e3, 5200e3, 10.0)
+    path = tmp_path / "dem.vrt"
+    path.write_text(
+        f'<VRTDataset rasterXSize="{SIDE}" rasterYSize="{SIDE}"><SRS>EPSG:32633</SRS>'
+        "<GeoTransform>500000, 10, 0, 5200000, 0, -10</GeoTransform>"
+        f'<VRTRasterBand dataType="{module._VRT_TYPES[dtype]}" band="1"><NoDataValue>{word}</NoDataValue><SimpleSource>'
+        '<SourceFilename relativeToVRT="1">cells.tif</SourceFilename><SourceBand>1</SourceBand></SimpleSource>'
+        "</VRTRasterBand></VRTDataset>"
+    )
+    (warning,) = make_scene(path).warnings
+    assert f"nodata {word}," in warning and dtype in warning and "--nodata VALUE" in warning
+    assert make_scene(path, terrain={"nodata": 99}).warnings == ()

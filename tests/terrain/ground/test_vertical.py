@@ -1,0 +1,188 @@
+"""What a raster's numbers are as heights: units by their words and by vertical CRSs, and depths, which grow downwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from pyproj import CRS
+
+import skugga
+from api.layers import geotiff
+from terrain.errors import SourceError
+from terrain.ground.elevation import Elevation
+from terrain.ground.vertical import UNIT_WORDS
+from terrain.level.parts import METRES_PER_UNIT
+from terrain.trees.canopy import Canopy
+from tests.rasters import write_geotiff
+
+UTM = "EPSG:32633"
+PLACE = (500e3, 5200e3, 10.0)
+
+WORDS = {
+    "m": ("m", "metre", "Meters", "m a.s.l.", "m (NAVD88)", "metres above sea level", "[m]"),
+    "ft": ("ft", "Foot", "feet", "ft (EGM96)", "Foot_International", "international foot"),
+    "us-ft": ("us-ft", "Foot_US", "foot_us", "ftUS", "usft", "ft (US)", "US survey foot", "us_survey_feet", "[ft_us]"),
+    "dm": ("dm", "decimetre", "Decimeters"),
+    "cm": ("cm", "centimetres", "centimeter"),
+    "mm": ("mm", "millimeters", "millimetre"),
+    "km": ("km", "Kilometre", "kilometers"),
+    "yd": ("yd", "yard", "Yards"),
+    "fathom": ("fathom", "fathoms", "fath"),
+}
+
+
+def with_unit(path: Path, heights: np.ndarray, word: str, crs: str = UTM, **options) -> Path:
+    write_geotiff(path, heights, crs, *PLACE, **options)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.units = (word,)
+    return path
+
+
+def with_depth(path: Path, depths: np.ndarray, crs: str, **options) -> Path:
+    return write_geotiff(path, depths, crs, *PLACE, **options)
+
+
+def mount_under_water() -> np.ndarray:
+    """Depths: a plain 100 m down, a mount up to 20 m below the surface."""
+    depths = np.full((64, 128), 100.0, np.float32)
+    depths[30:34, 70:74] = 20.0
+    return depths
+
+
+def mask_of(path: Path, **options) -> np.ndarray:
+    """The sun in the west, so high that 80 m throw a shadow of 120 m: 12 cells."""
+    with skugga.open_level(path, **options) as level:
+        return level.shade("mask", azimuth=270.0, altitude=float(np.degrees(np.arctan2(80.0, 120.0))))
+
+
+@pytest.mark.parametrize(("unit", "word"), [(unit, word) for unit, words in WORDS.items() for word in words])
+def test_unit_words_are_understood(tmp_path, unit, word):
+    elevation = Elevation(str(with_unit(tmp_path / "dem.tif", np.full((4, 4), 2.0, np.float32), word)))
+    assert (elevation.vertical.unit, elevation.vertical.unit_from) == (unit, "by its band")
+    assert elevation.overview.lowest_m == pytest.approx(2.0 * METRES_PER_UNIT[unit], rel=1e-6)
+
+
+def test_every_unit_has_words():
+    assert set(UNIT_WORDS.values()) == set(METRES_PER_UNIT)
+
+
+@pytest.mark.parametrize("word", ["furlong", "degree", "m/s", "kPa", "metres below the sea"])
+def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path, word):
+    path = with_unit(tmp_path / "dem.tif", np.full((4, 4), 2.0, np.float32), word)
+    for read in (Elevation, Canopy):
+        with pytest.raises(SourceError) as caught:
+            read(str(path))
+        message = str(caught.value)
+        assert (
+            all(name in message for name in ("dem.tif", f"unit {word} of its band", "us-ft", "fathom", "--units UNIT"))
+            and "\n" not in message
+        )
+    assert Elevation(str(path), units="ft").overview.lowest_m == pytest.approx(0.6096), "a level goes before it"
+
+
+@pytest.mark.parametrize("word", ["", "unknown", "1", "None"])
+def test_words_that_state_no_unit_leave_metres(tmp_path, word):
+    elevation = Elevation(str(with_unit(tmp_path / "dem.tif", np.full((4, 4), 2.0, np.float32), word)))
+    assert (elevation.vertical.unit, elevation.vertical.unit_from, elevation.overview.lowest_m) == ("m", None, 2.0)
+
+
+@pytest.mark.parametrize("version", ["1.0", "1.1"])
+@pytest.mark.parametrize(
+    ("vertical", "unit", "positive"),
+    [
+        (5703, "m", "up"), (6360, "us-ft", "up"), (8228, "ft", "up"), (5715, "m", "down"), (5831, "m", "down"),
+        (6358, "us-ft", "down"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("horizontal", [32633, 4326])
+def test_vertical_crs_say_unit_and_direction(tmp_path, horizontal, vertical, unit, positive, version):
+    """GDAL leaves out that of a GeoTIFF 1.0 where it is not asked."""
+    place = PLACE if horizontal == 32633 else (15.0, 47.0, 1e-4)
+    path = write_geotiff(
+        tmp_path / "dem.tif", np.full((4, 4), 2.0, np.float32), f"EPSG:{horizontal}+{vertical}", *place, geotiff_version=version
+    )
+    elevation = Elevation(str(path))
+    assert (elevation.vertical.unit, elevation.vertical.positive) == (unit, positive)
+    sign = -1.0 if positive == "down" else 1.0
+    assert elevation.overview.lowest_m == pytest.approx(sign * 2.0 * METRES_PER_UNIT[unit], rel=1e-6)
+    assert np.nanmax(elevation.overview.high_m) == elevation.overview.lowest_m
+
+
+@pytest.mark.parametrize("crs", [f"{UTM}+5715", f"{UTM}+5831"])
+def test_a_mount_under_water_throws_its_shadow(tmp_path, crs):
+    depths = mount_under_water()
+    mask = mask_of(with_depth(tmp_path / "depths.tif", depths, crs))
+    assert (mask[31:33, 75:85] == 0).all() and (mask[31:33, 86:] == 255).all() and (mask[:, :69] == 255).all()
+    twin = mask_of(with_depth(tmp_path / "heights.tif", -depths, UTM))
+    np.testing.assert_array_equal(mask, twin)
+
+
+@pytest.mark.parametrize("crs", [f"{UTM}+5715", f"{UTM}+6360"])
+def test_heights_that_are_written_are_metres_upwards(tmp_path, crs):
+    """Not depths, nor feet, for the vertical CRS of what they come from."""
+    path = with_depth(tmp_path / "dem.tif", mount_under_water(), crs)
+    out = tmp_path / "height.tif"
+    with skugga.open_level(path) as level:
+        assert level.crs == CRS.from_user_input(UTM)
+        out.write_bytes(geotiff(level.render(layer="height", size=(128, 64)), level._scene.view("map", size=(128, 64)), np.nan))
+    first, again = Elevation(str(path)), Elevation(str(out))
+    assert again.vertical.unit_from is None and again.vertical.positive_from is None
+    assert again.overview.lowest_m == pytest.approx(first.overview.lowest_m, abs=1e-3)
+
+
+def test_depths_in_feet_with_a_hole_are_those_in_metres(tmp_path):
+    """And with a nodata value beside them, so that a virtual raster takes the file's place."""
+    depths = mount_under_water()
+    depths[5:9, 5:9] = -1.0
+    feet = np.where(depths < 0, -1.0, depths / METRES_PER_UNIT["us-ft"]).astype(np.float32)
+    mask = mask_of(with_depth(tmp_path / "feet.tif", feet, f"{UTM}+6358"), nodata=-1.0)
+    twin = mask_of(with_depth(tmp_path / "metres.tif", depths, f"{UTM}+5715", nodata=-1.0))
+    np.testing.assert_array_equal(mask, twin)
+    assert (mask[5:9, 5:9] == 128).all()
+
+
+def test_a_level_turns_the_sign(tmp_path):
+    depths = mount_under_water()
+    mask = mask_of(with_depth(tmp_path / "depths.tif", depths, f"{UTM}+5715"))
+    np.testing.assert_array_equal(mask, mask_of(with_depth(tmp_path / "plain.tif", depths, UTM), positive="down"))
+    wrong = with_depth(tmp_path / "wrong.tif", -depths, f"{UTM}+5715")
+    np.testing.assert_array_equal(mask, mask_of(wrong, positive="up"))
+
+
+@pytest.mark.parametrize("tags", [{"positive": "down"}, {"standard_name": "sea_floor_depth_below_geoid"}])
+@pytest.mark.parametrize("nodata", [None, -1.0])
+def test_attributes_of_the_cf_conventions_say_that_depths_grow_down(tmp_path, tags, nodata):
+    path = with_depth(tmp_path / "depths.tif", mount_under_water(), UTM)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.update_tags(1, **tags)
+    elevation = Elevation(str(path), nodata=nodata)
+    assert elevation.vertical.positive_from == "by its band" and elevation.overview.lowest_m == -100.0
+
+
+def test_arrays_of_heights_are_metres_whatever_their_crs():
+    heights = -mount_under_water()
+    for crs in (UTM, f"{UTM}+5715", f"{UTM}+6360"):
+        with skugga.open_heights(heights, rasterio.Affine(10, 0, 500e3, 0, -10, 5200e3), crs) as level:
+            mask = level.shade("mask", azimuth=270.0, altitude=float(np.degrees(np.arctan2(80.0, 120.0))))
+        assert (mask[31:33, 75:85] == 0).all() and (mask[31:33, 86:] == 255).all(), crs
+
+
+def test_a_unit_that_contradicts_the_crs_is_told(tmp_path, make_scene):
+    path = write_geotiff(tmp_path / "dem.tif", np.full((40, 40), 2.0, np.float32), f"{UTM}+6360", *PLACE)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.units = ("m",)
+    (warning,) = make_scene(path).warnings
+    assert "heights in m (by its band)" in warning and "in us-ft by its CRS 'NAVD88 height (ftUS)'" in warning
+    assert make_scene(path, terrain={"units": "us-ft"}).warnings == ()
+
+
+def test_a_canopy_in_decimetres_bears_trees_of_metres(tmp_path):
+    raster = np.zeros((20, 20), np.float32)
+    raster[10, 10] = 150.0
+    canopy = Canopy(str(with_unit(tmp_path / "chm.tif", raster, "dm")))
+    assert canopy.heights_m(0, 0, 20, 20).max() == 15.0
+    feet = Canopy(str(write_geotiff(tmp_path / "feet.tif", raster, f"{UTM}+8228", *PLACE)))
+    assert feet.heights_m(0, 0, 20, 20).max() == pytest.approx(150.0 * 0.3048)
