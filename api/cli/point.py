@@ -26,7 +26,7 @@ from shadows.point.horizon import Surroundings, horizon_round
 from terrain.compiling.ahead import POINTS
 from terrain.compiling.hooks import need
 from terrain.errors import InputError
-from terrain.geo.clock import date_of
+from terrain.geo.clock import clock_named, date_of
 from terrain.level.level import load_level, parse_sun
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
@@ -146,6 +146,8 @@ def _report_many(level: LevelSource, points: list[TrackPoint], options: PointOpt
 
 def _query(options: PointOptions, lon: float, lat: float) -> PointQuery:
     day = None if options.date is None else date_of("date", options.date)
+    if options.clock is not None:
+        clock_named("clock", options.clock)
     try:
         return PointQuery(lon=lon, lat=lat, height=options.height, date=day, clock=options.clock, year=options.year)
     except ValidationError as error:

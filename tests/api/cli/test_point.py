@@ -124,6 +124,8 @@ def test_a_track_with_arrivals(run, valley, tmp_path):
         ([AT], "unexpected extra argument"),
         (["--at", AT, "--date", "monday"], "date: 'monday' is no date"),
         (["--at", AT, "--clock", "Mars", "--date", "2024-01-01"], "clock: 'Mars' is not allowed"),
+        (["--at", AT, "--clock", "", "--date", "2024-01-01"], "clock: '' is not allowed; allowed: solar, utc, an offset"),
+        (["--at", AT, "--clock", "Pacific/Apia", "--date", "2011-12-30"], "date: '2011-12-30' is not allowed"),
         (["--at", AT, "--height", "-3"], "--height: '-3.0' is not allowed"),
         (["--at", AT, "--horizon", "roof.hor"], "--horizon: 'roof.hor' is not allowed; allowed: pvgis-csv, pvgis-json"),
         (["--at", AT, "--output", "roof.hor"], "--output: 'roof.hor' is not allowed; allowed: --horizon FORMAT beside it"),
