@@ -11,9 +11,9 @@ from terrain.scene import Scene
 
 
 def say_warnings(scene: Scene) -> None:
-    """One line for each warning."""
-    for text in scene.warnings:
-        typer.echo(printable(f"skugga: warning: {scene.elevation.name}: {text}"), err=True)
+    """Print a line for each warning, on the ground and on what stands on it, whose files are read for it."""
+    for text in (*(f"{scene.elevation.name}: {text}" for text in scene.warnings), *scene.objects.warnings):
+        typer.echo(printable(f"skugga: warning: {text}"), err=True)
 
 
 def say_own_sun(scene: Scene) -> None:

@@ -120,7 +120,7 @@ def test_a_track_with_arrivals(run, valley, tmp_path):
     [
         (["--at", "0,0"], "point: '0,0' is not allowed; allowed: a place on the level's data: longitudes 14.9"),
         (["--at", "here"], "--at: 'here' is not allowed"),
-        ([], "--at: 'nothing' is not allowed"),
+        ([], "--at: missing; allowed: LON,LAT"),
         ([AT], "unexpected extra argument"),
         (["--at", AT, "--date", "monday"], "date: 'monday' is no date"),
         (["--at", AT, "--clock", "Mars", "--date", "2024-01-01"], "clock: 'Mars' is not allowed"),
