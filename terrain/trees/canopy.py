@@ -221,7 +221,7 @@ class Canopy:
         return rows_at.ravel(), cols_at.ravel(), np.where(np.isfinite(heights), heights, np.nan).ravel()
 
     def cell_m(self, crs: CRS, unit_m: float, window: CellWindow) -> float:
-        """Side of a cell on the ground in the middle of a window, metres. Raises ``SourceError`` where ``crs`` has no place for it."""
+        """Metres that a cell of a window is long and wide on the ground. Raises ``SourceError`` off what ``crs`` covers."""
         cell_m = float(np.sqrt(abs(np.linalg.det(self._metres_from_cells(crs, unit_m, window)))))
         if not np.isfinite(cell_m) or cell_m == 0:
             raise SourceError(self.name, f"its CRS '{self.crs.name}'", f"a CRS that can be transformed into '{crs.name}'")

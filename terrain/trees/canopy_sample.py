@@ -66,13 +66,16 @@ class CanopyCells:
 
     def left_out(self, least_m: float) -> str:
         """Which cells bear nothing, in words."""
-        low = self.low if least_m >= TREE_HEIGHT_M else 0.0
-        below = min(least_m, TREE_HEIGHT_M) if low else min(least_m, SHRUB_HEIGHT_M)
         shares = {
-            f"lower than {below:g} m": self.bare + low, "without a height": self.unknown,
+            f"lower than {SHRUB_HEIGHT_M:g} m": self.bare,
+            f"of {SHRUB_HEIGHT_M:g} m to {TREE_HEIGHT_M:g} m (least_height takes them)": self.low
+            if least_m == TREE_HEIGHT_M
+            else 0.0,
+            "without a height": self.unknown,
             f"higher than {MAX_HEIGHT_M:g} m": self.absurd,
-        }  # fmt: skip
-        return ", ".join(f"{100.0 * share:.3g} % {why}" for why, share in shares.items() if share)
+        }
+        said = [f"{100.0 * share:.3g} % {why}" for why, share in shares.items() if share]
+        return ", ".join([*said, *([] if least_m in (SHRUB_HEIGHT_M, TREE_HEIGHT_M) else [f"all lower than {least_m:g} m"])])
 
 
 def cells_of(heights_m: np.ndarray) -> CanopyCells:
