@@ -42,8 +42,11 @@ _POINT, _POLYGON = 0, 3  # shapely's type ids
 ONE_LAYER = (".geojson", ".shp", ".fgb")
 """Suffixes of files of one layer: to list the layers of a large GeoJSON takes as long as to read it."""
 
-FIRST_FEATURES = 100
-"""Features by which a layer's kind of geometry is told."""
+FIRST_FEATURES, FIRST_LAYERS = 100, 100
+"""Features by which a layer's kind of geometry is told, and layers that are looked at."""
+
+HOLE_OUTSIDE = "Hole lies outside shell"
+"""What GEOS says of such a polygon, before the place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +127,10 @@ def vector_layer(
             return VectorLayer(name)
         if len(names) < 2:
             return VectorLayer()
-        held = {each: _dimensions_of(source, each) for each in names}
-    fitting = [each for each in names if held[each] & set(dimensions)]
+        held = {each: _dimensions_of(source, each) for each in names[:FIRST_LAYERS]}
+    fitting = [each for each in held if held[each] & set(dimensions)]
     if not fitting:  # what is there instead is for the reader to say
-        return VectorLayer(next((each for each in names if held[each]), names[0]))
+        return VectorLayer(next((each for each in held if held[each]), names[0]))
     chosen = fitting[0]
     if has is not None and len(fitting) > 1:
         chosen = next((each for each in fitting if has(attribute_names(source, each))), chosen)
@@ -303,14 +306,12 @@ def _check_crossings(source: str, polygons: np.ndarray) -> None:
 
 def _check_holes(features: Features) -> None:
     """Raise ``SourceError`` for a polygon with a hole that does not lie in it: mended, it would be a second polygon."""
-    for row in np.flatnonzero((shapely.get_dimensions(features.geometry) == 2) & ~shapely.is_valid(features.geometry)):
-        for part in shapely.get_parts(shapely.get_parts(features.geometry[row])):
-            outline, holes = shapely.polygons(shapely.get_exterior_ring(part)), shapely.get_rings(part)[1:]
-            outside = shapely.disjoint(outline.buffer(0.0), shapely.polygons(holes))
-            if outside.any():
-                place = ", ".join(f"{v:.10g}" for v in shapely.get_coordinates(holes[outside][0])[0])
-                said = f"{features.label(row)}: a hole outside of its polygon, at {place}"
-                raise SourceError(features.name, said, "holes within their polygons; of several buildings a multi-polygon")
+    invalid = np.flatnonzero((shapely.get_dimensions(features.geometry) == 2) & ~shapely.is_valid(features.geometry))
+    for row, reason in zip(invalid, shapely.is_valid_reason(features.geometry[invalid]), strict=True):
+        if reason.startswith(HOLE_OUTSIDE):
+            place = ", ".join(reason.removeprefix(HOLE_OUTSIDE).strip("[]").split())
+            said = f"{features.label(row)}: a hole outside of its polygon, at {place}"
+            raise SourceError(features.name, said, "holes within their polygons; of several buildings a multi-polygon")
 
 
 def _mended(source: str, geometry: np.ndarray) -> np.ndarray:

@@ -58,6 +58,9 @@ LEAST_MEASURED_M = 1.5
 LEAST_KNOWN = 0.5
 """Share of a footprint that must have ground, or a surface, to stand on the terrain or to be measured."""
 
+MAX_FLOATING = 0.5
+"""Share of the floors of a file that may not lie below their roofs: some are mistakes."""
+
 SAMPLES_A_SIDE = 256
 """Most cells of a surface raster that are read along one side of a footprint."""
 
@@ -126,20 +129,16 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
         raise SourceError(
             source, f"a height of {height[i]:.6g} m at {features.label(feature[i])}", f"heights up to {HIGHEST_M:.0f} m"
         )
-    base = said.base_m[feature]
     with np.errstate(invalid="ignore"):
         tall = height >= LEAST_MEASURED_M if spec.surface else height > 0.0
-        upright = height > base
-    if not (tall & upright).any():
-        named = [" or ".join(f"'{name}'" for name in names) for names in (tops, bases)]
-        wanted = f"a height above 0 in the attribute {named[0]}"
-        if tall.any():
-            wanted = f"a height above that of its floor in the attribute {named[1]}"
-        elif spec.surface:
+    if not tall.any():
+        named = " or ".join(f"'{name}'" for name in tops)
+        wanted = f"a height above 0 in the attribute {named}"
+        if spec.surface:
             wanted = f"{LEAST_MEASURED_M} m of {spec.surface} above {spec.ground}"
         raise SourceError(source, f"no footprint with {wanted}", "heights in metres")
-    warnings = [*said.warnings, *_floating(tall & ~upright, features, feature)]
-    kept = tall & upright
+    base, floor_warnings = _floors(np.where(tall, said.base_m[feature], 0.0), height, features, feature)
+    kept = tall & ~(height <= base)
     key = shapely.get_coordinates(shapely.centroid(features.geometry))[feature[kept]]
     mean_m, lowest_m = _ground_along(polygons[kept], elevation)
     standing = np.isfinite(mean_m)
@@ -157,14 +156,23 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
         "without a geometry": features.dropped,
     }  # fmt: skip
     notes = [*layer.notes, *said.notes, *(f"{count} footprints left out: {why}" for why, count in left_out.items() if count)]
-    return Buildings(bodies, tuple(notes), tuple(warnings))
+    return Buildings(bodies, tuple(notes), (*said.warnings, *floor_warnings))
 
 
-def _floating(wrong: np.ndarray, features: Features, feature: np.ndarray) -> list[str]:
-    """A line on polygons whose floor is not below their roof; none where there are none."""
-    rows = np.flatnonzero(wrong)
-    more = f", and {len(rows) - 1} more" if len(rows) > 1 else ""
-    return [f"{features.label(feature[row])}{more}: left out, the floor is not below the roof" for row in rows[:1]]
+def _floors(base: np.ndarray, height: np.ndarray, features: Features, feature: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Heights (n,) of floors above the ground, and a line on those that are not below their roofs.
+
+    Where that is more than ``MAX_FLOATING`` of them, they count from elsewhere, as from the sea: all are 0 instead.
+    """
+    wrong = np.flatnonzero((base > 0.0) & (height <= base))
+    if not len(wrong):
+        return base, []
+    first, count = features.label(feature[wrong[0]]), np.count_nonzero(base)
+    if len(wrong) > MAX_FLOATING * count:
+        said = f"{len(wrong)} of {count} floors are not below their roofs, as that of {first}"
+        return np.zeros_like(base), [f"{said}: heights of floors are passed over, and these buildings stand on the ground"]
+    more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+    return base, [f"{first}{more}: left out, the floor is not below the roof"]
 
 
 def _attributes(spec: MeshSpec, where: str, source: str, layer: VectorLayer) -> tuple[tuple[str, ...], tuple[str, ...]]:

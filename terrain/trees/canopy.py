@@ -169,11 +169,13 @@ class Canopy:
         """The canopy's trees in a window, piece by piece, placed in ``crs`` whose unit is ``unit_m`` metres.
 
         ``crown_of`` gives the usual crown's diameter in metres for a height, ``window_m`` is that of the tops
-        (``TREETOP_WINDOW_M``). Canopy too low for its cells to show trees is scattered as dense as such crowns close it. Raises
+        (``TREETOP_WINDOW_M``). Canopy too low for its cells to show, and shrubs are scattered as dense as such crowns close. Raises
         ``SourceError`` where the raster is not to be read or has no place in ``crs``.
         """
         to_m, cell_m = self._metres_from_cells(crs, unit_m, window), self.cell_m(crs, unit_m, window)
         shown_m = _shown_m(cell_m, crown_of, self.least_m)
+        if self.least_m < TREE_HEIGHT_M:
+            shown_m = max(shown_m, TREE_HEIGHT_M)  # hedges and vines have no tops: they are closed
         if shown_m > self.least_m:
             side = max(_SQUARE_M, _SQUARE_CELLS * cell_m) / unit_m
             for square in self._squares(crs, window, side):

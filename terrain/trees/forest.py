@@ -245,7 +245,7 @@ def _point_stems(spec: ForestSpec, features: Features, where: str, site: Site, m
 
 
 def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> Stems:
-    for name in ("density", "height"):
+    for name in ("density", "height", "layer"):
         if getattr(spec, name) is not None:
             raise LevelError(f"{where}.{name}", getattr(spec, name), f"no {name}: the source is a raster of canopy heights")
     if isinstance(spec.crown, str):

@@ -134,12 +134,17 @@ def test_a_pitched_roof_of_a_raised_house_leaves_it_walls(tmp_path):
 
 
 def test_a_floor_above_its_roof_is_left_out_and_named(tmp_path):
-    placement, up = stand(tmp_path, ROW, height=[9.0, 4.0, 9.0, 3.0], min_height=[0.0, 4.0, 3.0, 6.0])
-    np.testing.assert_allclose(up, [[-FOOTING_M, 9.0], [3.0, 9.0]], atol=1e-6)
+    placement, up = stand(tmp_path, ROW, height=[9.0, 4.0, 9.0, 9.0], min_height=[0.0, 4.0, 3.0, 6.0])
+    np.testing.assert_allclose(up, [[-FOOTING_M, 9.0], [3.0, 9.0], [6.0, 9.0]], atol=1e-6)
     (warning,) = placement.warnings
-    assert warning.endswith("b.gpkg: feature 2 of 4, and 1 more: left out, the floor is not below the roof")
-    with pytest.raises(SourceError, match="no footprint with a height above that of its floor in the attribute 'min_height'"):
-        stand(tmp_path, ROW[:1], height=[4.0], min_height=[4.0])
+    assert warning.endswith("b.gpkg: feature 2 of 4: left out, the floor is not below the roof")
+
+
+def test_floors_that_count_from_the_sea_are_passed_over(tmp_path):
+    placement, up = stand(tmp_path, ROW, height=[9.0, 12.0, 60.0, 8.0], base_height=[52.0, 52.5, 53.0, np.nan])
+    np.testing.assert_allclose(up, [[-FOOTING_M, top] for top in (9.0, 12.0, 60.0, 8.0)], atol=1e-6)
+    (warning,) = placement.warnings
+    assert "2 of 3 floors are not below their roofs, as that of feature 1 of 4: heights of floors are passed over" in warning
 
 
 def test_footprints_in_a_second_layer_are_found(tmp_path):

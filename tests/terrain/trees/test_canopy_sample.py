@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import rasterio
 
+from shadows.point.horizon import sun_reaches, surroundings
+from shadows.point.place import place_at
 from terrain.errors import LevelError, SourceError
 from terrain.trees import forest as module
 from terrain.trees.canopy_sample import cells_of, check_above_ground
@@ -80,6 +82,25 @@ def test_hedges_and_vines_are_planted(planting, height_m):
     assert 300 < len(found.trees.rank) < 3000
     np.testing.assert_allclose(found.trees.height_m, height_m, rtol=1e-6)
     assert found.notes[0].endswith("left out: of its cells 80 % lower than 0.5 m")
+
+
+def test_a_hedge_throws_its_shadow(hill, make_scene, write_raster):  # noqa: F811
+    """1.8 m high and 2 m wide, under a sun in the south at 30 degrees: shade fills most of what is near, and ends 3.1 m
+    (1.8 m / tan 30 degrees) north of it.
+    """
+    heights = np.zeros((60, 60))
+    heights[30:32] = 1.8
+    source = write_raster(heights.astype(np.float32), UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif")
+    scene = make_scene(hill, forest=[{"source": str(source)}])
+    shaded = {}
+    for north_m in (0.5, 4.0):
+        places = [(X0 + 500 + east, Y0 - 530 + north_m) for east in np.arange(10.0, 50.0, 0.5)]
+        lit = [
+            sun_reaches(surroundings(scene, place_at(scene, place, scene.elevation.crs)), np.array([180.0]), np.array([30.0]))[0]
+            for place in places
+        ]
+        shaded[north_m] = 1.0 - np.mean(lit)
+    assert shaded[0.5] > 0.6 and shaded[4.0] == 0.0
 
 
 def test_undergrowth_is_left_out_unless_the_level_asks_for_it(planting):

@@ -386,6 +386,7 @@ def test_the_limit_is_on_all_stands_together(hill, make_scene, vectors, monkeypa
     ("spec", "value", "x", "message"),
     [
         ({"density": 4}, 9, X0, r"forest.0.density: '4.0' .*no density"),
+        ({"layer": "trees"}, 9, X0, r"forest.0.layer: 'trees' .*no layer"),
         ({"height": [4, 5]}, 9, X0, r"forest.0.height: .*no height: the source is a raster"),
         ({"crown": "w"}, 9, X0, r"forest.0.crown: 'w' .*a raster has no attributes"),
         ({}, 9, X0 + 5000, r"forest.0.source: 'trees at 50[45][^,]*, .*on the terrain, at 500000, 5200000"),
