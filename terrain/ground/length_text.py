@@ -7,14 +7,20 @@ import re
 from terrain.ground.elevation import UNIT_WORDS
 from terrain.level.parts import METRES_PER_UNIT
 
+
+def _plain(word: str) -> str:
+    return re.sub(r"[\W_]+", "", word.lower())
+
+
 METRES_PER_WORD = {
     **dict.fromkeys(("dm", "decimetre", "decimeter", "decimetres", "decimeters"), 0.1),
     **dict.fromkeys(("cm", "centimetre", "centimeter", "centimetres", "centimeters"), 0.01),
     **dict.fromkeys(("mm", "millimetre", "millimeter", "millimetres", "millimeters"), 0.001),
-    **dict.fromkeys(("'", "\N{PRIME}", "\N{RIGHT SINGLE QUOTATION MARK}"), METRES_PER_UNIT["ft"]),
-    **{word: METRES_PER_UNIT[unit] for word, unit in UNIT_WORDS.items()},
+    **{_plain(word): METRES_PER_UNIT[unit] for word, unit in UNIT_WORDS.items()},
 }
-"""Metres of a unit, by what files call it, in lower case."""
+"""Metres of a unit, by what files call it, as small letters and nothing else."""
+
+FOOT_MARKS = ("'", "\N{PRIME}", "\N{RIGHT SINGLE QUOTATION MARK}")
 
 INCH_M = 0.0254
 
@@ -25,7 +31,7 @@ _FEET_INCHES = re.compile(rf"(\d+)\s*(?:'|\u2032|ft)\s*({_NUMBER})\s*(?:\"|\u203
 
 def unit_m(word: str) -> float | None:
     """Return the metres of a unit; ``None`` for a word that is none."""
-    return METRES_PER_WORD.get(" ".join(word.lower().split()))
+    return METRES_PER_UNIT["ft"] if word.strip() in FOOT_MARKS else METRES_PER_WORD.get(_plain(word))
 
 
 def length_m(text: str, usual_m: float = 1.0) -> float:

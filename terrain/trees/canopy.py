@@ -22,7 +22,7 @@ from terrain.compiled import compiled
 from terrain.errors import SourceError
 from terrain.geo.vectors import between, same_coordinates
 from terrain.ground.georeference import check_cells
-from terrain.ground.length_text import unit_m
+from terrain.ground.length_text import METRES_PER_WORD, unit_m
 from terrain.level.rasters import open_raster
 from terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
 from terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
@@ -76,10 +76,9 @@ class CellWindow:
 class Canopy:
     """An open raster of heights above ground. Not to be shared between threads.
 
-    ``least_m`` is the height below which canopy is left out. ``unit`` is what the band calls the unit of its heights; where that is
-    no unit (not ``unit_is_known``) they are taken as metres.
+    ``least_m`` is the height below which canopy is left out.
 
-    Raises ``SourceError`` if it is no raster, broken or without a CRS.
+    Raises ``SourceError`` if it is no raster, broken, without a CRS or in an unknown unit.
     """
 
     least_m = TREE_HEIGHT_M
@@ -100,10 +99,10 @@ class Canopy:
             raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
         self.crs = crs
         check_cells(source, dataset)
-        self.unit = (dataset.units[0] or "").strip()
-        metres = unit_m(self.unit or "m")
-        self.unit_is_known = metres is not None
-        self._scale, self._offset = dataset.scales[0] * (metres or 1.0), dataset.offsets[0] * (metres or 1.0)
+        unit = unit_m((dataset.units[0] or "").strip() or "m")
+        if unit is None:
+            raise SourceError(source, f"unit {dataset.units[0]} of its band", f"one of {', '.join(METRES_PER_WORD)}")
+        self._scale, self._offset = dataset.scales[0] * unit, dataset.offsets[0] * unit
         self.rows, self.cols = dataset.height, dataset.width
 
     def heights_m(self, row0: int, col0: int, rows: int, cols: int) -> np.ndarray:

@@ -271,8 +271,6 @@ def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: i
     height = np.concatenate([piece.height_m for piece in stands] or [np.empty(0)])[first]
     crown = None if spec.crown is None else _values(spec.crown, None, first, places.key, CROWN)
     warnings = []
-    if not canopy.unit_is_known:
-        warnings.append(f"its unit '{canopy.unit}' is not known: heights are taken as metres")
     if cells.absurd > cells.tall:
         warnings.append(f"more of its cells are higher than {MAX_HEIGHT_M:g} m than are trees: is the unit of its heights right?")
     return Stems(

@@ -55,11 +55,9 @@ def test_heights_are_in_the_unit_of_the_band(planting, unit, value):
     assert note.endswith("canopy.tif: 9 trees planted; left out: of its cells 99.9 % lower than 0.5 m")
 
 
-def test_a_unit_that_is_none_is_told(planting):
-    found = planting(tops(8.0), unit="furlong")
-    assert found.trees.height_m.tolist() == [8.0] * 9
-    (warning,) = found.warnings
-    assert warning.endswith("canopy.tif: its unit 'furlong' is not known: heights are taken as metres")
+def test_a_unit_that_is_none_is_refused(planting):
+    with pytest.raises(SourceError, match="canopy.tif: 'unit furlong of its band'; needed: one of .*dm"):
+        planting(tops(8.0), unit="furlong")
 
 
 def test_a_canopy_that_plants_nothing_says_why(planting):
