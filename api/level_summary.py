@@ -58,7 +58,8 @@ def remarks(source: Path | LevelSource) -> list[str]:
         notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))
     if movers := scene.loaded.level.movers:
         notes.append(f"moves by the clock: {', '.join(movers)}")
-    notes += [f"warning: {text}" for text in scene.warnings]
+    notes += objects.notes
+    notes += [f"warning: {text}" for text in (*scene.warnings, *objects.warnings)]
     if not is_generated:
         notes.append(f"{elevation.vertical.statement}; if that is wrong, set terrain.units or terrain.positive")
     if scene.world.flat and not is_generated:

@@ -22,7 +22,7 @@ from api.device_calibration import calibration_for
 from api.raster_file import RasterCells, RasterFile, cog
 from api.shade_layers import SHADE_LAYERS
 from selector.select import plan_of_view
-from terrain.errors import InputError, SourceError
+from terrain.errors import MISSING_VALUE, InputError, SourceError
 from terrain.gbuffer.bare_ground import forget_ground_before
 from terrain.geo.grid import Grid, MapView, blocks_of, step_at_anchor_m
 from terrain.level.parts import SunSpec
@@ -141,7 +141,7 @@ def shaded_blocks(
     if layer not in SHADE_LAYERS:
         raise InputError("layer", layer, ", ".join(SHADE_LAYERS))
     if scene.sun is None and None in suns:
-        raise InputError("time", "nothing", "a time, or an azimuth and an altitude: the level has no sun")
+        raise InputError("time", MISSING_VALUE, "a time, or an azimuth and an altitude: the level has no sun")
     blocks, scenes = blocks_of(view), [scene.with_sun(sun) for sun in suns]
     device = calibration_for(scene.loaded.level.shadows, overrides)
     middle = blocks[len(blocks) // 2][0]

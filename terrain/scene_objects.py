@@ -20,6 +20,7 @@ from terrain.trees.trees import Trees
 
 if TYPE_CHECKING:
     from terrain.meshes.assemble import Placement
+    from terrain.trees.forest import Planting
 
 CREASE_DISTANCE = 0.8
 """Distance of unit normals (47 degrees) from which two faces meet in an edge and are not one bent surface."""
@@ -50,18 +51,32 @@ class SceneObjects:
         if seconds == self.seconds or not any(mesh.moves for mesh in self.loaded.level.meshes):
             return self
         other = replace(self, seconds=seconds)
-        other.__dict__.update({name: getattr(self, name) for name in ("trees", "placement", "solid_crease", "lamp_rigs")})
+        other.__dict__.update({name: getattr(self, name) for name in ("planting", "placement", "solid_crease", "lamp_rigs")})
         return other
 
     @cached_property
-    def trees(self) -> Trees | None:
-        """The trees, if there are any."""
+    def planting(self) -> Planting | None:
+        """The level's forest on its ground, if it names one."""
         if not self.loaded.level.forest:
             return None
         from terrain.trees.forest import plant_trees  # its libraries take half a second, which levels without trees need not pay
 
-        trees = plant_trees(self.loaded, self.world, self.elevation)
-        return trees if trees is not None and len(trees.rank) else None
+        return plant_trees(self.loaded, self.world, self.elevation)
+
+    @property
+    def trees(self) -> Trees | None:
+        """The trees, if there are any."""
+        return None if self.planting is None else self.planting.trees
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was read of the files of trees and footprints, in words."""
+        return tuple(note for found in (self.placement, self.planting) if found is not None for note in found.notes)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What of these files may not be as it was meant."""
+        return tuple(text for found in (self.placement, self.planting) if found is not None for text in found.warnings)
 
     @cached_property
     def placement(self) -> Placement | None:

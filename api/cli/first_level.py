@@ -39,7 +39,7 @@ def write_first_level(source: LevelSource, output: Path | None, force: bool) -> 
     check_targets(source, [("--output", path)])
     scene = build_scene(loaded)
     try:
-        say_warnings(scene)
+        say_warnings(scene, with_objects=False)
         view = good_view(scene.world, scene.elevation, scene.sun)
         write_whole(path, level_text(scene, source, view, path.resolve().parent))
     finally:

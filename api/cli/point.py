@@ -25,8 +25,8 @@ from api.point.values import PointAnswerRow, PointQuery, PointReport, ReportedCa
 from shadows.point.horizon import Surroundings, horizon_round
 from terrain.compiling.ahead import POINTS
 from terrain.compiling.hooks import need
-from terrain.errors import InputError
-from terrain.geo.clock import date_of
+from terrain.errors import MISSING_VALUE, InputError
+from terrain.geo.clock import clock_named, date_of
 from terrain.level.level import load_level, parse_sun
 from terrain.level.level_source import LevelSource
 from terrain.level.parts import SunSpec
@@ -63,7 +63,7 @@ def check_point_options(options: PointOptions, points: Path | None, line: Path |
     many = "--points" if points is not None else "--line" if line is not None else None
     if many is None:
         if options.at is None:
-            raise InputError("--at", "nothing", "LON,LAT; or many points by --points or --line")
+            raise InputError("--at", MISSING_VALUE, "LON,LAT; or many points by --points or --line")
     else:
         alone = {
             "--at": options.at, "--line": line if many == "--points" else None, "--horizon": options.horizon,
@@ -146,6 +146,8 @@ def _report_many(level: LevelSource, points: list[TrackPoint], options: PointOpt
 
 def _query(options: PointOptions, lon: float, lat: float) -> PointQuery:
     day = None if options.date is None else date_of("date", options.date)
+    if options.clock is not None:
+        clock_named("clock", options.clock)
     try:
         return PointQuery(lon=lon, lat=lat, height=options.height, date=day, clock=options.clock, year=options.year)
     except ValidationError as error:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from terrain.errors import InputError
+from terrain.errors import MISSING_VALUE, InputError
 from terrain.level.durations import DURATION_WORDS, parse_duration
 from terrain.level.level import parse_sun
 from terrain.level.parts import SunSpec
@@ -34,7 +34,7 @@ def suns_of(
         return [sun]
     if start is None or end is None or step is None:
         missing = next(name for name, value in steps.items() if value is None)
-        raise InputError(missing, "nothing", "--from, --to and --step together")
+        raise InputError(missing, MISSING_VALUE, "--from, --to and --step together")
     first, last = (_moment(name, text) for name, text in (("--from", start), ("--to", end)))
     every = duration_of("--step", step)
     count = (last - first) // every + 1

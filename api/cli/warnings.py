@@ -10,10 +10,11 @@ from terrain.errors import printable
 from terrain.scene import Scene
 
 
-def say_warnings(scene: Scene) -> None:
-    """One line for each warning."""
-    for text in scene.warnings:
-        typer.echo(printable(f"skugga: warning: {scene.elevation.name}: {text}"), err=True)
+def say_warnings(scene: Scene, with_objects: bool = True) -> None:
+    """Print a line for each warning, on the ground and, ``with_objects``, on what stands on it, whose files are read for it."""
+    on_objects = scene.objects.warnings if with_objects else ()
+    for text in (*(f"{scene.elevation.name}: {text}" for text in scene.warnings), *on_objects):
+        typer.echo(printable(f"skugga: warning: {text}"), err=True)
 
 
 def say_own_sun(scene: Scene) -> None:

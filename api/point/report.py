@@ -89,14 +89,14 @@ def day_asked(scene: Scene, query: PointQuery, lon_deg: float | None) -> date:
     if moment is not None and query.clock is None:
         return moment.date()
     moment = moment or query.now or datetime.now(UTC)
-    return moment.astimezone(clock_of(query.clock or "solar", lon_deg, moment.date())).date()
+    return moment.astimezone(clock_of("solar" if query.clock is None else query.clock, lon_deg, moment.date())).date()
 
 
 def clock_asked(scene: Scene, query: PointQuery, lon_deg: float | None, day: date) -> tzinfo:
     """The clock of a query: its own, else the offset of the sun's time, else solar time. Raises ``InputError``."""
     if query.clock is None and scene.sun is not None and scene.sun.time is not None and scene.sun.time.tzinfo is not None:
         return scene.sun.time.tzinfo
-    return clock_of(query.clock or "solar", lon_deg, day)
+    return clock_of("solar" if query.clock is None else query.clock, lon_deg, day)
 
 
 def reported_caster(caster: SunCaster | None) -> ReportedCaster | None:
@@ -124,4 +124,4 @@ def _reported_day(day: SunDay, clock: str) -> ReportedDay:
 
 
 def _clock_name(query: PointQuery, clock: tzinfo) -> str:
-    return query.clock or str(clock.tzname(datetime.now(UTC)))
+    return str(clock.tzname(datetime.now(UTC))) if query.clock is None else query.clock

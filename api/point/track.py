@@ -38,9 +38,9 @@ def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackP
     """The points of a line, at its corners and every so many metres between. Raises as ``read_points``."""
     import shapely
 
-    from terrain.geo.vectors import read_features
+    from terrain.geo.vectors import read_features, vector_layer
 
-    features = read_features(str(path), LONGITUDE_LATITUDE)
+    features = read_features(str(path), LONGITUDE_LATITUDE, layer=vector_layer(str(path), (1,)))
     lines = [part for part in shapely.get_parts(features.geometry) if part.geom_type == "LineString"]
     if not lines:
         raise SourceError(str(path), f"{features.geometry[0].geom_type} geometries", "a line")
@@ -129,34 +129,40 @@ def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
             high = float(row[height]) if height and row[height] else height_m
         except (TypeError, ValueError):
             raise SourceError(str(path), f"line {number}: {','.join(str(v) for v in row.values())[:60]}", "numbers") from None
-        points.append(TrackPoint(lon, lat, high, _moment(row[time] if time else None)))
+        points.append(TrackPoint(lon, lat, high, _moment(path, f"line {number}", row[time] if time else None)))
     return points
 
 
 def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
-    from terrain.geo.vectors import numbers, read_features
+    from terrain.geo.vectors import attribute_names, numbers, read_features, vector_layer
+    from terrain.ground.length_text import length_m
 
-    features = read_features(str(path), LONGITUDE_LATITUDE, usual=(*TIME_FIELDS, *HEIGHT_FIELDS))
+    layer = vector_layer(str(path), (0,))
+    names = {name.strip().lower(): name for name in attribute_names(str(path), layer.name or 0)}
+    time, height = (next((names[word] for word in words if word in names), None) for words in (TIME_FIELDS, HEIGHT_FIELDS))
+    wanted = [name for name in (time, height) if name is not None]
+    features = read_features(str(path), LONGITUDE_LATITUDE, wanted, layer=layer)
     kinds = {geometry.geom_type for geometry in features.geometry}
     if kinds != {"Point"}:
         raise SourceError(str(path), f"{', '.join(sorted(kinds))} geometries", "points")
     heights = np.full(len(features.geometry), height_m)
-    for name in HEIGHT_FIELDS:
-        if name in features.attributes:
-            heights = np.nan_to_num(numbers(features, name), nan=height_m)
-            break
-    times = next((features.attributes[name] for name in TIME_FIELDS if name in features.attributes), [None] * len(heights))
+    if height is not None:
+        heights = np.nan_to_num(numbers(features, height, length_m), nan=height_m)
+    times = [None] * len(heights) if time is None else features.attributes[time]
     return [
-        TrackPoint(float(point.x), float(point.y), float(high), _moment(time))
-        for point, high, time in zip(features.geometry, heights, times, strict=True)
+        TrackPoint(float(point.x), float(point.y), float(high), _moment(path, features.label(row), moment))
+        for row, (point, high, moment) in enumerate(zip(features.geometry, heights, times, strict=True))
     ]
 
 
-def _moment(value: object) -> datetime | None:
-    """A time of a file. Raises ``InputError`` for one without an offset."""
+def _moment(path: Path, where: str, value: object) -> datetime | None:
+    """A time of a file. Raises ``SourceError`` for one without an offset."""
     text = "" if value is None else str(value).strip()
     if text in ("", "NaT", "nan", "None"):
         return None
-    spec = parse_sun(text, None, None)
+    try:
+        spec = parse_sun(text, None, None)
+    except InputError as error:
+        raise SourceError(str(path), f"{where}: time = {text}", error.allowed) from None
     assert spec is not None
     return spec.time

@@ -23,13 +23,6 @@ def solar_clock(lon_deg: float, day: date) -> timezone:
     return timezone(timedelta(seconds=round(60.0 * minutes)), "solar")
 
 
-def day_ends(day: date, clock: tzinfo) -> tuple[datetime, datetime]:
-    """The midnights that a day lies between."""
-    first = datetime(day.year, day.month, day.day, tzinfo=clock)
-    following = day + timedelta(days=1)
-    return first, datetime(following.year, following.month, following.day, tzinfo=clock)
-
-
 def equation_of_time_min(moment: datetime) -> float:
     """By how many minutes a sundial is ahead of mean time."""
     import pandas

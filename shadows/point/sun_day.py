@@ -12,9 +12,9 @@ from datetime import UTC, date, datetime, tzinfo
 
 import numpy as np
 
-from shadows.point.clock import day_ends
 from shadows.point.horizon import SunCaster, Surroundings, sun_reaches, what_hides
 from shadows.point.sun_angles import angles_at, sun_looks
+from terrain.geo.clock import day_ends
 
 STEP_S = 60.0
 FINE_STEP_S = 2.0
@@ -62,7 +62,9 @@ class SunDay:
 
 
 def sun_day(around: Surroundings, day: date, clock: tzinfo) -> SunDay:
-    """The sun of a day at a place. Raises ``InputError`` in a flat world and for years for which no sun is computed."""
+    """The sun of a day at a place. Raises ``InputError`` in a flat world, for years for which no sun is computed, and for a day
+    that the clock's calendar leaves out.
+    """
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_ends(day, clock))
     when, to_sun = sun_looks(around.scene.world, begin, end, STEP_S)
     azimuth, altitude = angles_at(around.place, to_sun)

@@ -12,10 +12,10 @@ from datetime import UTC, date, timedelta, tzinfo
 
 import numpy as np
 
-from shadows.point.clock import day_ends
 from shadows.point.horizon import Surroundings, objects_leave_free
 from shadows.point.horizon_walk import relief_horizon
 from shadows.point.sun_angles import angles_at, sun_directions
+from terrain.geo.clock import day_ends, has_day
 
 YEAR_STEP_S = 300.0
 FINE_HORIZON_DEG = 0.1
@@ -31,8 +31,9 @@ class SunYear:
 
 
 def sun_year(around: Surroundings, year: int, clock: tzinfo) -> SunYear:
-    """The hours of sun of every day of a year. Raises as ``sun_day``."""
-    days = tuple(date(year, 1, 1) + timedelta(days=n) for n in range((date(year + 1, 1, 1) - date(year, 1, 1)).days))
+    """Return the hours of sun of every day that a year has by a clock. Raises as ``sun_day``."""
+    dates = (date(year, 1, 1) + timedelta(days=n) for n in range((date(year + 1, 1, 1) - date(year, 1, 1)).days))
+    days = tuple(day for day in dates if has_day(day, clock))
     midnight = np.array([day_ends(day, clock)[0].astimezone(UTC).timestamp() for day in days])
     end = day_ends(days[-1], clock)[1].astimezone(UTC).timestamp()
     when = np.arange(midnight[0] + YEAR_STEP_S / 2, end, YEAR_STEP_S)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import re
-from datetime import UTC, date, timedelta, timezone, tzinfo
+from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
 from typing import Literal
-from zoneinfo import ZoneInfo
+from zoneinfo import ZoneInfo, available_timezones
 
 from terrain.errors import Fault, InputError
 
@@ -16,26 +17,74 @@ SOLAR: Literal["solar"] = "solar"
 
 CLOCK_WORDS = "solar, utc, an offset as +02:00, or a time zone as Europe/Oslo"
 
-_OFFSET = re.compile(r"([+-])(\d\d):?(\d\d)")
+_OFFSET = re.compile(r"(?:(?:utc|gmt)\s*)?([+-])\s*(\d{1,2}?)(?::?([0-5]\d))?", re.IGNORECASE | re.ASCII)
+"""An offset, with or without a name before it. ``Etc/GMT+2``, which lies behind UTC, is a zone and none of these."""
+
+_LOST_PLUS = re.compile(r"^((?:utc|gmt)?) (?=\d)", re.IGNORECASE | re.ASCII)
+"""What stands before the place of a plus sign that arrived as a space."""
+
+MAX_SPELLINGS = 3
+"""Zones that are proposed for a name that is none."""
+
+MIN_LETTERS = 5
+"""Shorter names are like too many others: EST is like CEST, and six hours away."""
 
 
 def clock_named(parameter: str, text: str) -> Clock:
-    """The clock of a name. A ``+`` of an offset that arrived as a space is understood. Raises ``InputError``, which names the
-    parameter.
+    """Return the clock of a name.
+
+    Letters of either case, short offsets (``+2``, ``UTC+2``) and a ``+`` that arrived as a space are understood. Raises
+    ``InputError``, which names the parameter and the zones that are spelt alike.
     """
     name = text.strip()
     if name.lower() == SOLAR:
         return SOLAR
     if name.lower() in ("utc", "z"):
         return UTC
-    offset = _OFFSET.fullmatch(f"+{name}" if text.startswith(" ") else name)
-    if offset is not None and int(offset[2]) < 24 and int(offset[3]) < 60:
-        ahead = timedelta(hours=int(offset[2]), minutes=int(offset[3]))
+    offset = _OFFSET.fullmatch(_LOST_PLUS.sub(r"\1+", text.rstrip().replace("\u2212", "-"), count=1).strip())
+    if offset is not None and int(offset[2]) < 24:
+        ahead = timedelta(hours=int(offset[2]), minutes=int(offset[3] or 0))
         return timezone(-ahead if offset[1] == "-" else ahead)
     try:
         return ZoneInfo(name)
     except (ValueError, OSError, LookupError):
-        raise InputError(parameter, text, CLOCK_WORDS) from None
+        pass
+    zones = {zone.lower(): zone for zone in available_timezones()}
+    spelt = zones.get(re.sub(r"\s+", "_", name.lower()))
+    if spelt is not None:
+        return ZoneInfo(spelt)
+    alike = ", ".join(_zones_alike(name.lower(), zones))
+    raise InputError(parameter, text, f"{CLOCK_WORDS}{f' (perhaps {alike})' if alike else ''}")
+
+
+def _zones_alike(name: str, zones: dict[str, str]) -> list[str]:
+    """The zones (by their names in lower case) of a city, or those that are spelt most like a name."""
+    city = re.sub(r"\s+", "_", name.rpartition("/")[2])
+    found = [zone for zone in sorted(zones) if zone.rpartition("/")[2] == city and "/" in zone]
+    if not found and len(name) >= MIN_LETTERS:
+        by_city = {zone.rpartition("/")[2]: zone for zone in sorted(zones, reverse=True)}
+        found = difflib.get_close_matches(name, zones, MAX_SPELLINGS, cutoff=0.8)
+        found += [by_city[each] for each in difflib.get_close_matches(city, by_city, 1, cutoff=0.8)]
+    return [zones[zone] for zone in dict.fromkeys(found)][:MAX_SPELLINGS]
+
+
+def day_ends(day: date, clock: tzinfo, parameter: str = "date") -> tuple[datetime, datetime]:
+    """Return the midnights that a day lies between. Raises ``InputError`` for a day that the clock's calendar leaves out."""
+    first = datetime(day.year, day.month, day.day, tzinfo=clock)
+    following = day + timedelta(days=1)
+    end = datetime(following.year, following.month, following.day, tzinfo=clock)
+    if end.astimezone(UTC) <= first.astimezone(UTC):
+        raise InputError(parameter, day.isoformat(), f"a day of {clock}, whose clocks went over this one")
+    return first, end
+
+
+def has_day(day: date, clock: tzinfo) -> bool:
+    """Whether a clock's calendar has a day: Samoa's has no 30 December 2011."""
+    try:
+        day_ends(day, clock)
+    except InputError:
+        return False
+    return True
 
 
 def date_of(name: str, text: str) -> date:

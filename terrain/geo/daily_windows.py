@@ -9,7 +9,7 @@ from datetime import UTC, date, datetime, time, timedelta, tzinfo
 import numpy as np
 
 from terrain.errors import InputError
-from terrain.geo.clock import Clock
+from terrain.geo.clock import Clock, day_ends
 from terrain.geo.sun_path import check_date, sun_path
 from terrain.geo.world import World
 
@@ -47,7 +47,8 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
     """The window of a date between two readings of a clock, minutes from midnight (0 to 1440).
 
     A reading that there is not, as an hour is left out when summer time begins, stands for the time as long after the reading
-    before it; of one that there is twice the first is the window's start, and the second its end. Raises ``InputError``.
+    before it; of one that there is twice the first is the window's start, and the second its end (24:00 is where the next date
+    begins). Raises ``InputError``, also where the clock goes over the whole date or the whole window.
     """
     if not 0.0 <= first_min < last_min <= DAY_MIN:
         raise InputError("window", f"{clock_text(first_min)}-{clock_text(last_min)}", "a time, and a later one, 00:00 to 24:00")
@@ -55,8 +56,12 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
     if isinstance(clock, str):
         start, end = (_solar_moment(day, minutes, world) for minutes in (first_min, last_min))
         return DailyWindow(day, start, (end - start) / timedelta(minutes=1), first_min)
-    start, end = _zone_moment(day, first_min, clock, fold=0), _zone_moment(day, last_min, clock, fold=1)
+    day_ends(day, clock)
+    start, end = _zone_ends(day, first_min, last_min, clock)
     minutes = (end - start) / timedelta(minutes=1)
+    if minutes <= 0.0:
+        readings = f"{clock_text(first_min)}-{clock_text(last_min)}"
+        raise InputError("window", readings, f"readings of {clock} on {day.isoformat()}, whose clocks went over these")
     before, after = _offset_min(start, clock), _offset_min(end - timedelta(seconds=1), clock)
     reading = datetime.combine(day, time(), UTC)
     clock_min = (start - reading) / timedelta(minutes=1) + before
@@ -86,18 +91,35 @@ def readings_of(text: str) -> tuple[float, float]:
 def windows_asked(
     world: World, first: date, last: date, every_days: int, readings: tuple[float, float], clock: Clock
 ) -> list[DailyWindow]:
-    """The windows of the dates from one to another, so many days apart. Raises ``InputError``, also in a flat world."""
+    """The windows of the dates from one to another, so many days apart. Raises ``InputError``, also in a flat world.
+
+    The first and the last date must be there; between them those without a window by this clock are left out.
+    """
     days = dates_of(first, last, every_days)
     if len(days) > MOST_DATES:
         raise InputError("to", last.isoformat(), f"at most {MOST_DATES} dates; these are {len(days)}")
     if world.flat:
         raise InputError("date", first.isoformat(), "no date: an engineering CRS is not georeferenced, and has no sun of a date")
+    if not isinstance(clock, str):
+        for name, day in (("date", first), ("to", last)):
+            day_ends(day, clock, name)
+        days = [day for day in days if day == first or _has_window(day, *readings, clock)]
     return [daily_window(day, *readings, clock, world) for day in days]
 
 
 def clock_text(minutes: float) -> str:
     """Minutes from midnight as a clock reads: 08:30."""
     return f"{int(minutes // 60):02d}:{int(minutes % 60):02d}"
+
+
+def _zone_ends(day: date, first_min: float, last_min: float, zone: tzinfo) -> tuple[datetime, datetime]:
+    """When the readings of a window are; not one after the other where the zone's clocks go over the window."""
+    return _zone_moment(day, first_min, zone, fold=0), _zone_moment(day, last_min, zone, fold=int(last_min < DAY_MIN))
+
+
+def _has_window(day: date, first_min: float, last_min: float, zone: tzinfo) -> bool:
+    start, end = _zone_ends(day, first_min, last_min, zone)
+    return start < end
 
 
 def _zone_moment(day: date, minutes: float, zone: tzinfo, fold: int) -> datetime:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +25,9 @@ geographic CRS, units in others. What is left of their bend is a few centimetres
 FARTHEST = {True: 540.0, False: 1e9}
 """Coordinates beyond this are none: degrees in geographic CRS, units in others."""
 
+HIGHEST_LATITUDE = 90.0 + 1e-6
+"""Of degrees, as files round them."""
+
 MOST_COORDINATES = 50_000_000
 """Points of a file's lines and outlines when long edges are divided: some gigabytes."""
 
@@ -36,93 +39,191 @@ _EDGES_AT_ONCE = 64
 _POINT, _POLYGON = 0, 3  # shapely's type ids
 
 
+ONE_LAYER = (".geojson", ".shp", ".fgb")
+"""Suffixes of files of one layer: to list the layers of a large GeoJSON takes as long as to read it."""
+
+FIRST_FEATURES, FIRST_LAYERS = 100, 100
+"""Features by which a layer's kind of geometry is told, and layers that are looked at."""
+
+HOLE_OUTSIDE = "Hole lies outside shell"
+"""What GEOS says of such a polygon, before the place."""
+
+
 @dataclass(frozen=True, eq=False)
 class Features:
-    """The features of a file's first layer.
+    """The features of a layer of a file.
 
-    ``geometry`` holds n two-dimensional shapely geometries, none of them empty, polygons all valid; ``attributes`` the
-    asked ones, (n,) each. ``dropped`` counts features left out for want of a geometry.
+    Attributes
+    ----------
+    name
+        The file.
+    geometry
+        (n,) two-dimensional shapely geometries, none of them empty, polygons all valid.
+    attributes
+        (n,) each of the attributes that were asked for.
+    number
+        int (n,), which feature of the layer each is, counted from 1.
+    count
+        Features of the layer, with those that were left out.
+    fid
+        int (n,), the identifiers that GDAL gives.
     """
 
     name: str
     geometry: np.ndarray
     attributes: dict[str, np.ndarray]
-    dropped: int = 0
+    number: np.ndarray
+    count: int
+    fid: np.ndarray
+
+    def __getitem__(self, rows: np.ndarray) -> Features:
+        """Some of the features, or some of them several times."""
+        attributes = {name: values[rows] for name, values in self.attributes.items()}
+        return Features(self.name, self.geometry[rows], attributes, self.number[rows], self.count, self.fid[rows])
+
+    def label(self, row: int | np.integer) -> str:
+        """A feature in words, with its identifier where that does not count from 0 or 1 as the features do."""
+        number, fid = int(self.number[row]), int(self.fid[row])
+        return f"feature {number} of {self.count}" + ("" if fid in (number, number - 1) else f" (fid {fid})")
+
+    @property
+    def dropped(self) -> int:
+        """Features that were left out for want of a geometry."""
+        return self.count - len(np.unique(self.number))
 
 
-def read_features(source: str, crs: CRS, attributes: Sequence[str] = (), usual: Sequence[str] = ()) -> Features:
-    """Read the first layer of a vector file into ``crs``, x before y, with some of its attributes, and the ``usual`` ones it has.
+@dataclass(frozen=True)
+class VectorLayer:
+    """A layer of a file: its name (``None``: the only one), and the ``others`` that hold geometries of the same kind."""
 
-    Where ``crs`` is an engineering CRS, files in another one of its unit, or in none, are taken to be in it.
+    name: str | None = None
+    others: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is said of a layer that was chosen among several."""
+        if not self.others:
+            return () if self.name is None else (f"layer '{self.name}'",)
+        return (f"layer '{self.name}', and not {', '.join(self.others)}; layer: names another one",)
+
+
+def vector_layer(
+    source: str, dimensions: Sequence[int], name: str | None = None, has: Callable[[tuple[str, ...]], bool] | None = None
+) -> VectorLayer:
+    """Return the layer of a name, or else the first with geometries of some dimensions (0: points, 1: lines, 2: polygons).
+
+    Of several such layers it is the first whose attributes ``has`` is content with. Raises ``SourceError``.
+    """
+    check_geodata(source)
+    if name is None and source.lower().endswith(ONE_LAYER):
+        return VectorLayer()
+    with _opened(source):
+        import pyogrio
+
+        names = [str(row[0]) for row in pyogrio.list_layers(source)]
+        if name is not None:
+            if name not in names:
+                raise SourceError(source, f"no layer '{name}'", f"one of {', '.join(names)}" if names else "a file with layers")
+            return VectorLayer(name)
+        if len(names) < 2:
+            return VectorLayer()
+        held = {each: _dimensions_of(source, each) for each in names[:FIRST_LAYERS]}
+    fitting = [each for each in held if held[each] & set(dimensions)]
+    if not fitting:  # what is there instead is for the reader to say
+        return VectorLayer(next((each for each in held if held[each]), names[0]))
+    chosen = fitting[0]
+    if has is not None and len(fitting) > 1:
+        chosen = next((each for each in fitting if has(attribute_names(source, each))), chosen)
+    return VectorLayer(chosen, tuple(each for each in fitting if each != chosen))
+
+
+def _dimensions_of(source: str, layer: str) -> set[int]:
+    """The dimensions of the first geometries of a layer; empty where it has none."""
+    import pyogrio
+
+    _, _, wkb, _ = pyogrio.raw.read(source, layer=layer, columns=[], force_2d=True, max_features=FIRST_FEATURES)
+    geometry = shapely.from_wkb(wkb if wkb is not None else np.empty(0, object), on_invalid="ignore")
+    return set(shapely.get_dimensions(geometry[~(shapely.is_missing(geometry) | shapely.is_empty(geometry))]).tolist())
+
+
+def read_features(
+    source: str, crs: CRS, attributes: Sequence[str] = (), usual: Sequence[str] = (), layer: VectorLayer | None = None
+) -> Features:
+    """Read a layer of a vector file (the first) into ``crs``, x before y, with some of its attributes, and ``usual`` ones it has.
+
+    Times are text in ISO 8601. Where ``crs`` is an engineering CRS, files in another one of its unit, or in none, are taken to be
+    in it.
 
     Raises ``SourceError`` where the file is missing, no vector file, without features or a CRS, lacks an attribute, or has
-    coordinates that cannot be transformed.
+    geometries that are damaged or cannot be transformed: it names the feature.
     """
     check_geodata(source)
     import pyogrio  # here: where pandas is installed it imports that, half a second of every start
     from pyogrio.errors import DataLayerError, DataSourceError
 
-    wanted = list(dict.fromkeys([*attributes, *usual]))
+    wanted, named = list(dict.fromkeys([*attributes, *usual])), 0 if layer is None or layer.name is None else layer.name
     try:
         with _quiet():
             # Without a look at its attributes first: large GeoJSON is read from end to end whatever is asked.
-            meta, _, wkb, columns = pyogrio.raw.read(source, layer=0, columns=wanted, force_2d=True)
-        geometry = shapely.from_wkb(wkb if wkb is not None else np.empty(0, object))
+            meta, fid, wkb, columns = pyogrio.raw.read(
+                source, layer=named, columns=wanted, force_2d=True, return_fids=True, datetime_as_string=True
+            )
+            geometry = shapely.from_wkb(wkb if wkb is not None else np.empty(0, object), on_invalid="ignore")
     except (DataSourceError, DataLayerError, shapely.errors.GEOSException, ValueError) as error:
-        attribute_names(source)  # says it better where there is no such file, or no vectors in it
+        attribute_names(source, named)  # says it better where there is no such file, or no vectors in it
         raise SourceError(source, _reason(error, source), "an undamaged vector file") from None
     for name in attributes:
         if name not in meta["fields"]:
-            known = attribute_names(source)
+            known = attribute_names(source, named)
             raise SourceError(source, f"no attribute '{name}'", f"one of {', '.join(known)}" if known else "a file with attributes")
-    geometry[shapely.is_missing(geometry)] = shapely.Point()
+    values = dict(zip(meta["fields"], columns, strict=True))
+    features = Features(source, geometry, values, np.arange(1, len(geometry) + 1), len(geometry), fid)
+    missing = shapely.is_missing(geometry)
+    for row in np.flatnonzero(missing):
+        if wkb[row] is not None:
+            raise SourceError(source, f"{features.label(row)}: {_damage(wkb[row])}", "undamaged geometries")
+    geometry[missing] = shapely.Point()
     if shapely.is_empty(geometry).all():
         raise SourceError(source, "no feature with a geometry", "points or polygons")
     own = _crs(source, meta["crs"], crs)
-    _check_places(source, own, crs, shapely.get_coordinates(geometry))
+    _check_places(features, own, crs, *shapely.get_coordinates(geometry, return_index=True))
+    _check_holes(features)
     # Mended before, since long edges are divided rightly in valid polygons alone, and after, since a projection may fold them.
-    geometry = _mended(source, geometry)
+    geometry[:] = _mended(source, geometry)
     if not same_coordinates(own, crs):
-        geometry = _mended(source, _projected(source, geometry, own, crs))
+        geometry[:] = _mended(source, _projected(features, own, crs))
     kept = np.flatnonzero(~shapely.is_empty(geometry))
     if not len(kept):
         raise SourceError(source, "only polygons without an area", "points or polygons")
-    values = dict(zip(meta["fields"], columns, strict=True))
-    return Features(source, geometry[kept], {name: v[kept] for name, v in values.items()}, len(geometry) - len(kept))
+    return features[kept]
 
 
-def attribute_names(source: str) -> tuple[str, ...]:
-    """Names of the attributes of a vector file's first layer. Raises ``SourceError``."""
-    import pyogrio
-    from pyogrio.errors import DataLayerError, DataSourceError
-
+def attribute_names(source: str, layer: str | int = 0) -> tuple[str, ...]:
+    """Names of the attributes of a layer of a vector file. Raises ``SourceError``."""
     check_geodata(source)
-    if not is_remote(source) and not Path(source).exists():
-        raise SourceError(source, "no such file", "a vector file that GDAL reads")
-    try:
-        with _quiet():
-            return tuple(str(name) for name in pyogrio.read_info(source, layer=0)["fields"])
-    except DataLayerError:
-        raise SourceError(source, "no layer", "a vector file with features") from None
-    except (DataSourceError, UnicodeDecodeError) as error:
-        raise SourceError(source, _reason(error, source), "a vector file that GDAL reads") from None
+    with _opened(source):
+        import pyogrio
+
+        return tuple(str(name) for name in pyogrio.read_info(source, layer=layer)["fields"])
 
 
-def numbers(features: Features, attribute: str) -> np.ndarray:
-    """An attribute as float64 (n,), NaN where it is not given. Raises ``SourceError`` where it holds text that is no number."""
+def numbers(features: Features, attribute: str, number_of: Callable[[str], float] = float) -> np.ndarray:
+    """An attribute as float64 (n,), NaN where it is not given; ``number_of`` reads text, and raises ``ValueError``.
+
+    Raises ``SourceError``, which names the feature, where it holds text that is no number.
+    """
     values = features.attributes[attribute]
     if values.dtype.kind in "iufb":
         return values.astype(np.float64)
-    if values.dtype.kind != "O":
-        raise SourceError(features.name, f"{attribute} = {values[0]}", f"numbers in the attribute '{attribute}'")
     result = np.full(len(values), np.nan)
-    for i, value in enumerate(values):
+    for row, value in enumerate(values):
         if value is None or (isinstance(value, str) and not value.strip()):
             continue
         try:
-            result[i] = float(value)
+            result[row] = number_of(value) if isinstance(value, str) else float(value)
         except (TypeError, ValueError):
-            raise SourceError(features.name, f"{attribute} = {value}", f"numbers in the attribute '{attribute}'") from None
+            said = f"{attribute} = {value} at {features.label(row)}"
+            raise SourceError(features.name, said, f"numbers in the attribute '{attribute}'") from None
     return result
 
 
@@ -153,27 +254,33 @@ def _crs(source: str, text: str | None, wanted: CRS) -> CRS:
     raise SourceError(source, f"no coordinate reference system{beside}", "a vector file with a CRS")
 
 
-def _projected(source: str, geometry: np.ndarray, own: CRS, crs: CRS) -> np.ndarray:
+def _projected(features: Features, own: CRS, crs: CRS) -> np.ndarray:
+    source, geometry = features.name, features.geometry
     edged = shapely.get_dimensions(geometry) > 0
     check_divided(source, geometry[edged], LONGEST_EDGE[own.is_geographic])
     geometry[edged] = shapely.segmentize(geometry[edged], LONGEST_EDGE[own.is_geographic])
-    before = shapely.get_coordinates(geometry)
+    before, index = shapely.get_coordinates(geometry, return_index=True)
     after = np.column_stack(between(source, own, crs).transform(before[:, 0], before[:, 1]))
-    _check_places(source, own, crs, before, after)
+    _check_places(features, own, crs, before, index, after)
     if len(before) == len(geometry) and (shapely.get_type_id(geometry) == _POINT).all():
         return shapely.points(after)  # a million points in a fifth of the time
     return shapely.set_coordinates(geometry, after)
 
 
-def _check_places(source: str, own: CRS, crs: CRS, before: np.ndarray, after: np.ndarray | None = None) -> None:
-    """Raise ``SourceError`` where coordinates have no place in a CRS."""
-    known = np.abs(before) <= FARTHEST[own.is_geographic] if after is None else np.isfinite(after)
-    bad = ~known.all(axis=1)
-    if bad.any():
-        place = ", ".join(f"{v:.10g}" for v in before[bad][0])
+def _check_places(
+    features: Features, own: CRS, crs: CRS, before: np.ndarray, index: np.ndarray, after: np.ndarray | None = None
+) -> None:
+    """Raise ``SourceError`` where coordinates, each of the feature at its ``index``, have no place in a CRS."""
+    in_degrees = own.is_geographic and own.axis_info[0].unit_name == "degree"
+    farthest = FARTHEST[own.is_geographic], HIGHEST_LATITUDE if in_degrees else FARTHEST[own.is_geographic]
+    known = np.abs(before) <= farthest if after is None else np.isfinite(after)
+    bad = np.flatnonzero(~known.all(axis=1))
+    if len(bad):
+        place = ", ".join(f"{v:.10g}" for v in before[bad[0]])
         raise SourceError(
-            source, f"the coordinates {place}", f"coordinates of '{own.name}' that can be transformed into '{crs.name}'"
-        )
+            features.name, f"{features.label(index[bad[0]])}: the coordinates {place}",
+            f"coordinates of '{own.name}' that can be transformed into '{crs.name}'",
+        )  # fmt: skip
 
 
 def check_divided(source: str, geometry: np.ndarray, longest: float) -> None:
@@ -197,6 +304,16 @@ def _check_crossings(source: str, polygons: np.ndarray) -> None:
                 raise SourceError(source, f"polygons that cross themselves more than {MOST_CROSSINGS} times", "valid polygons")
 
 
+def _check_holes(features: Features) -> None:
+    """Raise ``SourceError`` for a polygon with a hole that does not lie in it: mended, it would be a second polygon."""
+    invalid = np.flatnonzero((shapely.get_dimensions(features.geometry) == 2) & ~shapely.is_valid(features.geometry))
+    for row, reason in zip(invalid, shapely.is_valid_reason(features.geometry[invalid]), strict=True):
+        if reason.startswith(HOLE_OUTSIDE):
+            place = ", ".join(reason.removeprefix(HOLE_OUTSIDE).strip("[]").split())
+            said = f"{features.label(row)}: a hole outside of its polygon, at {place}"
+            raise SourceError(features.name, said, "holes within their polygons; of several buildings a multi-polygon")
+
+
 def _mended(source: str, geometry: np.ndarray) -> np.ndarray:
     """Geometries with invalid polygons made valid; empty where no area is left of them. Raises ``SourceError``."""
     with_area = shapely.get_dimensions(geometry) == 2
@@ -216,6 +333,31 @@ def _quiet() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         yield
+
+
+@contextmanager
+def _opened(source: str) -> Iterator[None]:
+    """What GDAL raises about a file as one ``SourceError``."""
+    from pyogrio.errors import DataLayerError, DataSourceError
+
+    if not is_remote(source) and not Path(source).exists():
+        raise SourceError(source, "no such file", "a vector file that GDAL reads")
+    try:
+        with _quiet():
+            yield
+    except DataLayerError:
+        raise SourceError(source, "no layer", "a vector file with features") from None
+    except (DataSourceError, UnicodeDecodeError) as error:
+        raise SourceError(source, _reason(error, source), "a vector file that GDAL reads") from None
+
+
+def _damage(wkb: bytes) -> str:
+    """What is wrong with a geometry that is none."""
+    try:
+        shapely.from_wkb(wkb)
+    except shapely.errors.GEOSException as error:
+        return str(error).partition(": ")[2].strip() or "a damaged geometry"
+    return "a damaged geometry"
 
 
 def _reason(error: Exception, source: str) -> str:

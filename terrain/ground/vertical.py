@@ -132,11 +132,16 @@ def unit_of_band(source: str, dataset: rasterio.DatasetReader, crs_word: str | N
     which is no word of ours (GDAL repeats it). Raises ``SourceError``.
     """
     word = dataset.units[0] or ""
-    unit = next((UNIT_WORDS[plain] for plain in _plain_words(word) if plain in UNIT_WORDS), None)
+    unit = unit_of_word(word)
     if unit is None and _plain_words(word)[0] not in NO_UNIT_WORDS and word != crs_word:
         known = f"one of {', '.join(METRES_PER_UNIT)} or their long names; of ground, else {remedy('units', 'UNIT')}"
         raise SourceError(source, f"unit {word} of its band", known)
     return unit
+
+
+def unit_of_word(word: str) -> Units | None:
+    """The unit that a word means, as files write it; ``None`` for one that is not known."""
+    return next((UNIT_WORDS[plain] for plain in _plain_words(word) if plain in UNIT_WORDS), None)
 
 
 def _plain_words(word: str) -> tuple[str, str]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic_core import ErrorDetails
 
-from terrain.errors import Fault, LevelError, all_at_once
+from terrain.errors import MISSING_VALUE, Fault, LevelError, all_at_once
 
 MOST_ERRORS = 1000
 """Of pydantic's that are looked at, each beside each."""
@@ -75,10 +75,11 @@ def _of_key(path: str, keys: _Keys, errors: list[ErrorDetails]) -> LevelError:
         return LevelError(where, Fault(f"unknown key, did you mean '{near[0]}'?" if near else "unknown key"), known)
     if last["type"] == "missing" and isinstance(items := last["loc"][-1], int):  # a list that is too short
         return LevelError(where, last["input"], f"{items + 1} items")
-    value = "nothing" if first["type"] == "missing" else first["input"]
+    if first["type"] == "missing":
+        return LevelError(where, MISSING_VALUE, "a value: it is required")
     allowed = " or ".join(dict.fromkeys(error["msg"][:1].lower() + error["msg"][1:] for error in errors))
     allowed = re.sub("a valid dictionary( or instance of [A-Za-z]+)?", "a mapping of keys", allowed)
-    return LevelError(where, value, allowed.replace("input should be ", ""))
+    return LevelError(where, first["input"], allowed.replace("input should be ", ""))
 
 
 def _keys(data: Any, error: ErrorDetails) -> _Keys:

@@ -186,13 +186,17 @@ class ForestSpec(Model):
     """A stand of trees: polygons with a density, points (one a tree), or a canopy-height raster.
 
     ``density`` is in trees per hectare (polygons alone), ``height`` in metres: a range, or the name of an attribute;
-    ``crown`` the crown's diameter likewise (default: from the height). A canopy raster needs neither.
+    ``crown`` the crown's diameter likewise (default: from the height). A canopy raster needs neither; of one, canopy below
+    ``least_height`` metres is left out (default: 2, where most of it is lower 0.5). Of a file of several layers ``layer`` names the
+    trees' one.
     """
 
     source: FileName
+    layer: str | None = None
     density: float | None = Field(default=None, gt=0, le=20000)
     height: tuple[float, float] | str | None = None
     crown: tuple[float, float] | str | None = None
+    least_height: float | None = Field(default=None, ge=0.1, le=150)
     species: Species = "mixed"
     seed: int = Field(default=0, ge=0, le=2**32 - 1)
 
@@ -209,7 +213,7 @@ BESIDE_PATH = "nothing beside a path of its motion, which says where it is"
 
 class MeshSpec(Model):
     """Buildings from footprints (``height``: an attribute's name, metres for all, or a surface and a ground raster), a model
-    from a file (OBJ, PLY, glTF), or a generated one.
+    from a file (OBJ, PLY, glTF), or a generated one. Of a file of several layers ``layer`` names the footprints' one.
 
     ``roof`` is the form of the roofs over footprints that are nearly rectangles; others are flat. ``at`` is where a model
     stands: one place or several (degrees; metres on a made ground), its lowest point on the ground; a path of its ``motion`` says
@@ -217,6 +221,7 @@ class MeshSpec(Model):
     """
 
     source: FileName | None = None
+    layer: str | None = None
     generate: MeshGenerator | None = None
     height: str | Annotated[float, Field(gt=0, le=1000)] | None = None
     surface: FileName | None = None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.errors import LevelError
+from terrain.errors import MISSING_VALUE, LevelError
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
 from terrain.ground.geolocate import Geolocator
@@ -23,7 +23,7 @@ from terrain.meshes.solids import Solids
 MODEL_KEYS = ("at", "scale", "turn", "caster", "motion")
 """Keys of a mesh that footprints, which stand where their file says, have no use for."""
 
-FOOTPRINT_KEYS = ("height", "surface", "ground", "roof")
+FOOTPRINT_KEYS = ("height", "surface", "ground", "roof", "layer")
 """Keys of a mesh that anything but footprints has no use for."""
 
 
@@ -31,12 +31,15 @@ FOOTPRINT_KEYS = ("height", "surface", "ground", "roof")
 class Placement:
     """All bodies of a level where they stand: those that are seen, and those that cast (the same, or stand-ins).
 
-    ``casting_buildings`` says of each that casts whether it is a building: a footprint that was extruded.
+    ``casting_buildings`` says of each that casts whether it is a building: a footprint that was extruded. ``notes`` say what was
+    read of footprints, ``warnings`` what was not.
     """
 
     seen: tuple[PlacedBody, ...]
     casting: tuple[PlacedBody, ...]
     casting_buildings: tuple[bool, ...] = ()
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,13 +59,18 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
     seen: list[PlacedBody] = []
     casting: list[PlacedBody] = []
     are_buildings: list[bool] = []
+    notes: list[str] = []
+    warnings: list[str] = []
     place = Geolocator(world, elevation)
     for number, spec in enumerate(loaded.level.meshes):
         where = f"{loaded.path}: meshes.{number}"
         from_footprints = spec.source is not None and not is_model(spec.source)
         if from_footprints:
             _refuse(spec, MODEL_KEYS, where, "no such key for footprints, which stand where their file says")
-            standing = stand_ins = buildings(spec, where, loaded, world, elevation)
+            found = buildings(spec, where, loaded, world, elevation)
+            standing = stand_ins = found.bodies
+            notes += [f"{spec.source}: {note}" for note in found.notes]
+            warnings += [f"{spec.source}: {warning}" for warning in found.warnings]
         else:
             _refuse(spec, FOOTPRINT_KEYS, where, "no such key but for footprints")
             motion = _motion(spec, where, place)
@@ -75,7 +83,7 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
         are_buildings += [from_footprints] * len(stand_ins)
     visible_bodies = tuple(seen)
     casting_bodies = visible_bodies if all(spec.caster is None for spec in loaded.level.meshes) else tuple(casting)
-    return Placement(visible_bodies, casting_bodies, tuple(are_buildings))
+    return Placement(visible_bodies, casting_bodies, tuple(are_buildings), tuple(notes), tuple(warnings))
 
 
 def solids(placement: Placement, seconds: float) -> Solids:
@@ -170,7 +178,7 @@ def _spot(at: MapPosition | None, where: str, place: Geolocator) -> _Spot:
     x, y = (world.anchor_x, world.anchor_y) if at is None else place.xy(at)
     height = float(elevation.filled_ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
     if not np.isfinite(height):
-        raise LevelError(f"{where}.at", "nothing" if at is None else at, f"a position on the terrain: within {place.extent}")
+        raise LevelError(f"{where}.at", MISSING_VALUE if at is None else at, f"a position on the terrain: within {place.extent}")
     point, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
     return _Spot(point + height * up, world.earth_from_enu(point, up))
 

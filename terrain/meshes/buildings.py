@@ -2,34 +2,35 @@
 
 A flat roof, or the ridge, lies level at the mean ground along the footprint's outline plus the building's height; heights that
 are measured in a surface raster are counted from there too, so that the roof lies where the surface does. Walls go down to
-``FOOTING_M`` below the lowest ground of the outline, so that no gap opens on a slope, and a floor closes the block. "Level" is
-along the vertical at every corner: a long building follows the earth's curvature.
+``FOOTING_M`` below the lowest ground of the outline, so that no gap opens on a slope, and a floor closes the block. What begins
+above the ground (a bridge, the storeys over a passage) has its floor level at the mean ground plus that height. "Level" is along
+the vertical at every corner: a long building follows the earth's curvature.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections import deque
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 
-import mapbox_earcut
 import numpy as np
 import shapely
 from pyproj import CRS
 from pyproj.exceptions import ProjError
 
-from terrain.errors import LevelError, SourceError
-from terrain.geo.vectors import Features, attribute_names, check_divided, numbers, read_features
+from terrain.errors import MISSING_VALUE, LevelError, SourceError
+from terrain.geo.vectors import Features, VectorLayer, attribute_names, check_divided, read_features, vector_layer
 from terrain.geo.world import World, transformer
 from terrain.ground.elevation import Elevation
 from terrain.ground.geolocate import bounds_text
 from terrain.level.bundled import BUNDLED
 from terrain.level.level import LoadedLevel
 from terrain.level.parts import MeshSpec, RoofForm
+from terrain.meshes.block_triangles import block_triangles, roof_triangles, sloped_triangles
 from terrain.meshes.body import Body, PlacedBody, srgb_albedo
-from terrain.meshes.roofs import Roof, roof_over
+from terrain.meshes.footprint_heights import base_attributes, footprint_heights, height_attributes, spelt_like
+from terrain.meshes.roofs import roof_over
 
 FOOTING_M = 0.5
 """How far walls reach below the lowest ground of their outline."""
@@ -48,9 +49,6 @@ MOST_CORNERS_OF_ALL = 3_000_000
 
 DEGREE_M = 111_320.0
 
-USUAL_ATTRIBUTES = ("height_m", "height")
-"""Attributes that heights are taken from where the level names none."""
-
 ROOF_PERCENTILE = 90.0
 """Of the surface in a footprint: below chimneys and overhanging crowns, above light wells and blurred eaves."""
 
@@ -60,6 +58,9 @@ LEAST_MEASURED_M = 1.5
 LEAST_KNOWN = 0.5
 """Share of a footprint that must have ground, or a surface, to stand on the terrain or to be measured."""
 
+MAX_FLOATING = 0.5
+"""Share of the floors of a file that may not lie below their roofs: some are mistakes."""
+
 SAMPLES_A_SIDE = 256
 """Most cells of a surface raster that are read along one side of a footprint."""
 
@@ -67,6 +68,8 @@ Transform = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """From coordinates (x, y) in a CRS to those in another."""
 
 _POLYGON = 3  # shapely's type id
+
+_AREA = 2  # dimensions
 
 WALL_COLORS = ((0.80, 0.76, 0.68), (0.77, 0.76, 0.73), (0.75, 0.66, 0.52), (0.58, 0.40, 0.32), (0.64, 0.63, 0.60))
 """sRGB: plaster, whitewash, ochre, brick, concrete."""
@@ -80,7 +83,9 @@ ALBEDO_VARIATION = (0.92, 1.06)
 
 @dataclass(frozen=True, eq=False)
 class _Blocks:
-    """Footprints, one row a polygon: outlines in the terrain's CRS, heights and the ground they stand on."""
+    """Footprints, one row a polygon: outlines in the terrain's CRS, heights of roof and floor, and how far the one is from the
+    other, or above the ground where the block stands on it.
+    """
 
     polygons: np.ndarray
     color_key: np.ndarray
@@ -89,62 +94,102 @@ class _Blocks:
     height_m: np.ndarray
 
 
-def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, elevation: Elevation) -> list[PlacedBody]:
-    """Closed blocks over the footprints of ``spec.source`` that lie on the terrain, one a polygon.
+@dataclass(frozen=True, eq=False)
+class Buildings:
+    """Blocks over footprints; what was read of their file, and what was not, in words."""
 
-    Heights are ``spec.height`` (metres, or an attribute's name), else those of ``spec.surface`` above ``spec.ground``, else an
-    attribute ``height_m`` or ``height``. A footprint is left out whose height is unknown, not above 0, or measured and below
-    ``LEAST_MEASURED_M``, and one that has no ground under most of it. ``where`` is the key's path.
+    bodies: list[PlacedBody]
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, elevation: Elevation) -> Buildings:
+    """Return closed blocks over the footprints of ``spec.source`` that lie on the terrain, one a polygon.
+
+    Heights are ``spec.height`` (metres, or an attribute's name), else those of ``spec.surface`` above ``spec.ground``, else those
+    of the attributes that ``height_attributes`` knows. A footprint is left out whose height is unknown, not above 0 nor above its
+    floor, or measured and below ``LEAST_MEASURED_M``, and one that has no ground under most of it. ``where`` is the key's path.
 
     Raises ``SourceError`` for a file that cannot be used, ``LevelError`` where nothing says how high buildings are.
     """
     assert spec.source is not None
     source = loaded.resolve(spec.source)
-    attribute = _attribute(spec, where, source)
-    features = read_features(source, elevation.crs, () if attribute is None else (attribute,))
+    layer = vector_layer(source, (_AREA,), spec.layer, lambda names: bool(height_attributes(names)))
+    tops, bases = _attributes(spec, where, source, layer)
+    features = read_features(source, elevation.crs, (*tops, *bases), layer=layer)
     polygons, feature = _outlines(features, world)
-    if attribute is not None:
-        height = numbers(features, attribute)[feature]
+    said = footprint_heights(features, tops, bases)
+    if tops:
+        height = said.top_m[feature]
     elif spec.height is not None:
         height = np.full(len(polygons), float(spec.height))
     else:
         height = _surface_heights(polygons, elevation.crs, _raster(loaded, spec.surface), _raster(loaded, spec.ground))
     for i in np.flatnonzero(height > HIGHEST_M)[:1]:
-        value = f"a height of {height[i]:.6g} m at feature {feature[i] + 1} of {len(features.geometry)}"
-        raise SourceError(source, value, f"heights up to {HIGHEST_M:.0f} m")
-    tall = height >= LEAST_MEASURED_M if spec.surface else height > 0.0
+        raise SourceError(
+            source, f"a height of {height[i]:.6g} m at {features.label(feature[i])}", f"heights up to {HIGHEST_M:.0f} m"
+        )
+    with np.errstate(invalid="ignore"):
+        tall = height >= LEAST_MEASURED_M if spec.surface else height > 0.0
     if not tall.any():
-        wanted = f"a height above 0 in the attribute '{attribute}'"
+        named = " or ".join(f"'{name}'" for name in tops)
+        wanted = f"a height above 0 in the attribute {named}"
         if spec.surface:
             wanted = f"{LEAST_MEASURED_M} m of {spec.surface} above {spec.ground}"
         raise SourceError(source, f"no footprint with {wanted}", "heights in metres")
-    key = shapely.get_coordinates(shapely.centroid(features.geometry))[feature[tall]]
-    mean_m, lowest_m = _ground_along(polygons[tall], elevation)
+    base, floor_warnings = _floors(np.where(tall, said.base_m[feature], 0.0), height, features, feature)
+    kept = tall & ~(height <= base)
+    key = shapely.get_coordinates(shapely.centroid(features.geometry))[feature[kept]]
+    mean_m, lowest_m = _ground_along(polygons[kept], elevation)
     standing = np.isfinite(mean_m)
     if not standing.any():
         spans = [bounds_text(bounds, elevation.crs) for bounds in (shapely.total_bounds(features.geometry), elevation.bounds)]
         raise SourceError(source, f"footprints within {spans[0]}", f"footprints on the terrain: within {spans[1]}")
+    floor_m = np.where(base[kept] > 0.0, mean_m + base[kept], lowest_m - FOOTING_M)
     blocks = _Blocks(
-        polygons[tall][standing], key[standing], (mean_m + height[tall])[standing], (lowest_m - FOOTING_M)[standing],
-        height[tall][standing],
+        polygons[kept][standing], key[standing], (mean_m + height[kept])[standing], floor_m[standing],
+        (height - base)[kept][standing],
     )  # fmt: skip
-    return _extruded(blocks, world, elevation.crs, None if spec.color is None else srgb_albedo(spec.color), spec.roof)
+    bodies = _extruded(blocks, world, elevation.crs, None if spec.color is None else srgb_albedo(spec.color), spec.roof)
+    left_out = {
+        "without a height": np.count_nonzero(~tall), "off the terrain": np.count_nonzero(~standing),
+        "without a geometry": features.dropped,
+    }  # fmt: skip
+    notes = [*layer.notes, *said.notes, *(f"{count} footprints left out: {why}" for why, count in left_out.items() if count)]
+    return Buildings(bodies, tuple(notes), (*said.warnings, *floor_warnings))
 
 
-def _attribute(spec: MeshSpec, where: str, source: str) -> str | None:
-    """The attribute that heights are in; ``None`` where they come from elsewhere."""
+def _floors(base: np.ndarray, height: np.ndarray, features: Features, feature: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Heights (n,) of floors above the ground, and a line on those that are not below their roofs.
+
+    Where that is more than ``MAX_FLOATING`` of them, they count from elsewhere, as from the sea: all are 0 instead.
+    """
+    wrong = np.flatnonzero((base > 0.0) & (height <= base))
+    if not len(wrong):
+        return base, []
+    first, count = features.label(feature[wrong[0]]), np.count_nonzero(base)
+    if len(wrong) > MAX_FLOATING * count:
+        said = f"{len(wrong)} of {count} floors are not below their roofs, as that of {first}"
+        return np.zeros_like(base), [f"{said}: heights of floors are passed over, and these buildings stand on the ground"]
+    more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+    return base, [f"{first}{more}: left out, the floor is not below the roof"]
+
+
+def _attributes(spec: MeshSpec, where: str, source: str, layer: VectorLayer) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The attributes that heights are in, none where they come from elsewhere; and those that heights of floors are in."""
     if spec.surface is not None and spec.height is not None:
         raise LevelError(f"{where}.height", spec.height, "either height, or surface and ground")
+    known = attribute_names(source, layer.name or 0)
+    bases = base_attributes(known)
     if isinstance(spec.height, str):
-        return spec.height
+        return (spelt_like(spec.height, known),), bases
     if spec.height is not None or spec.surface is not None:
-        return None
-    known = attribute_names(source)
-    for name in USUAL_ATTRIBUTES:
-        if name in known:
-            return name
+        return (), bases
+    tops = height_attributes(known)
+    if tops:
+        return tops, bases
     allowed = f"metres, or an attribute of {source} ({', '.join(known) or 'it has none'}); or surface and ground rasters"
-    raise LevelError(f"{where}.height", "nothing", allowed)
+    raise LevelError(f"{where}.height", MISSING_VALUE, allowed)
 
 
 def _raster(loaded: LoadedLevel, source: str | None) -> Elevation:
@@ -266,15 +311,15 @@ def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None
         origin = ground[start] + base_m * up[start]
         sloped = roof_over(ground[here] + base_m * up[here], blocks.height_m[i], form) if last_ring - first_ring == 1 else None
         if sloped is None:
-            roof = _roof_triangles(xy[here] - xy[start], ends - start)
-            triangles, is_roof = _block_triangles(roof, ends - start)
+            roof = roof_triangles(xy[here] - xy[start], ends - start)
+            triangles, is_roof = block_triangles(roof, ends - start)
             vertices = np.concatenate([ground[here] + height * up[here] for height in (roof_m, base_m)]) - origin
         else:
             order = start + (sloped.first + np.arange(4)) % 4
             ridge, ridge_up = world.ground(crs, *(sloped.weights @ xy[order]).T)
             eaves_m = roof_m - sloped.rise_m
             corners = [ground[order] + eaves_m * up[order], ground[order] + base_m * up[order], ridge + roof_m * ridge_up]
-            triangles, is_roof = _sloped_triangles(sloped)
+            triangles, is_roof = sloped_triangles(sloped)
             vertices = np.concatenate(corners) - origin
         wall_albedo, roof_albedo = _materials(blocks.color_key[i], crs) if albedo is None else (albedo, albedo)
         placed.append(
@@ -282,85 +327,6 @@ def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None
         )
         start, first_ring = here.stop, last_ring
     return placed
-
-
-def _block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Roof, walls and floor of a block (m, 3) over n corners, and which triangles are roof.
-
-    Vertices [0, n) are the roof's, [n, 2 n) the floor's. Rings keep the building on their left.
-    """
-    count = int(ring_ends[-1])
-    here, following = np.arange(count), _following(ring_ends)
-    walls = np.concatenate([
-        np.column_stack([here + count, following + count, following]), np.column_stack([here + count, following, here])
-    ])  # fmt: skip
-    triangles = np.concatenate([roof, walls, roof[:, ::-1] + count]).astype(np.int32)
-    return triangles, np.arange(len(triangles)) < len(roof)
-
-
-def _sloped_triangles(roof: Roof) -> tuple[np.ndarray, np.ndarray]:
-    """The same of a block under a roof with slopes, whose ridge are the vertices after the floor's."""
-    block, _ = _block_triangles(np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.array([4]))
-    slopes = np.where(roof.triangles >= 4, roof.triangles + 4, roof.triangles).astype(np.int32)
-    triangles = np.concatenate([slopes, block[2:]])
-    return triangles, np.arange(len(triangles)) < roof.covered
-
-
-def _roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
-    """Counter-clockwise triangles (m, 3) of a polygon's corners (n, 2). Every edge of every ring is the edge of one triangle."""
-    clipped = mapbox_earcut.triangulate_float64(np.ascontiguousarray(xy), ring_ends.astype(np.uint32)).reshape(-1, 3)
-    triangles = _facing_up(clipped.astype(np.int32), xy)
-    # Ear clipping skips corners that come to lie on a straight line on the way: without them roof and wall would part.
-    missing = len(xy) + 2 * (len(ring_ends) - 1) - 2 - len(triangles)  # n + 2 h - 2 triangles of n corners and h holes
-    return triangles if missing <= 0 else _with_skipped(triangles, xy, ring_ends, missing)
-
-
-def _with_skipped(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray, missing: int) -> np.ndarray:
-    """The triangles with those cut in two, up to a number, that have a corner of the polygon between the ends of an edge."""
-    from scipy.spatial import cKDTree
-
-    rings = set(zip(range(len(xy)), _following(ring_ends).tolist(), strict=True))
-    corners, near = triangles.tolist(), cKDTree(xy)
-    edges = {edge: k for k, (i, j, l) in enumerate(corners) for edge in ((i, j), (j, l), (l, i))}
-    waiting = deque(edges)
-    while waiting and missing:
-        a, b = waiting.popleft()
-        if (a, b) not in edges or (b, a) in edges or (a, b) in rings:
-            continue
-        k = edges[a, b]
-        c = next(corner for corner in corners[k] if corner not in (a, b))
-        along = xy[b] - xy[a]
-        around = np.array(sorted(near.query_ball_point((xy[a] + xy[b]) / 2, 0.5 * np.hypot(*along) * (1 + 1e-9))))
-        off = xy[around] - xy[a]
-        share = off @ along / (along @ along)
-        aside = np.abs(along[0] * off[:, 1] - along[1] * off[:, 0]) / (along @ along)
-        between = around[(aside < 1e-9) & (share > 1e-9) & (share < 1 - 1e-9) & (around != c)].tolist()
-        if not between:
-            continue
-        middle, new = between[0], len(corners)
-        del edges[a, b]
-        corners[k] = [a, middle, c]
-        corners.append([middle, b, c])
-        edges |= {(a, middle): k, (middle, c): k, (c, a): k, (middle, b): new, (b, c): new, (c, middle): new}
-        waiting += [(a, middle), (middle, b)]
-        missing -= 1
-    return np.array(corners, np.int32)
-
-
-def _following(ring_ends: np.ndarray) -> np.ndarray:
-    """The index (n,) of the corner after each corner of its ring."""
-    following = np.arange(1, int(ring_ends[-1]) + 1)
-    following[ring_ends - 1] = np.concatenate([[0], ring_ends[:-1]])
-    return following
-
-
-def _facing_up(triangles: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """Triangles with an area, counter-clockwise."""
-    a, b, c = np.moveaxis(xy[triangles], 1, 0)
-    twice = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    turned = np.where(twice[:, None] < 0, triangles[:, ::-1], triangles)
-    longest = np.max([np.einsum("ij,ij->i", side, side) for side in (b - a, c - b, a - c)], axis=0)
-    return turned[np.abs(twice) > 1e-12 * longest]
 
 
 def _materials(centre: np.ndarray, crs: CRS) -> tuple[np.ndarray, np.ndarray]:

@@ -23,10 +23,8 @@ from terrain.geo.vectors import between, same_coordinates
 from terrain.ground.georeference import check_cells, check_geotransform
 from terrain.ground.open_raster import dataset_with_masks
 from terrain.ground.vertical import vertical_axis
+from terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
 from terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
-
-LEAST_HEIGHT_M, MOST_HEIGHT_M = 2.0, 150.0
-"""Canopy below is no tree, and above no canopy."""
 
 COARSE_CELL_M = 3.0
 """Cells wider than this show no single trees."""
@@ -77,8 +75,12 @@ class CellWindow:
 class Canopy:
     """An open raster of heights above ground. Not to be shared between threads.
 
-    Raises ``SourceError`` if it is no raster, broken or without a CRS.
+    ``least_m`` is the height below which canopy is left out.
+
+    Raises ``SourceError`` if it is no raster, broken, without a CRS or in an unknown unit.
     """
+
+    least_m = TREE_HEIGHT_M
 
     def __init__(self, source: str) -> None:
         self.name = source
@@ -113,7 +115,7 @@ class Canopy:
             raise SourceError(self.name, "a part that cannot be read", "an undamaged file") from None
         values = data.filled(0).astype(np.float64) * self._scale + self._offset
         with np.errstate(invalid="ignore"):
-            tree = ~np.ma.getmaskarray(data) & (values >= LEAST_HEIGHT_M) & (values <= MOST_HEIGHT_M)
+            tree = ~np.ma.getmaskarray(data) & (values >= self.least_m) & (values <= MAX_HEIGHT_M)
         out[top - row0 : bottom - row0, left - col0 : right - col0] = np.where(tree, values, 0.0)
         return out
 
@@ -162,15 +164,14 @@ class Canopy:
         """The canopy's trees in a window, piece by piece, placed in ``crs`` whose unit is ``unit_m`` metres.
 
         ``crown_of`` gives the usual crown's diameter in metres for a height, ``window_m`` is that of the tops
-        (``TREETOP_WINDOW_M``). Canopy too low for its cells to show trees is scattered as dense as such crowns close it. Raises
+        (``TREETOP_WINDOW_M``). Canopy too low for its cells to show, and shrubs are scattered as dense as such crowns close. Raises
         ``SourceError`` where the raster is not to be read or has no place in ``crs``.
         """
-        to_m = self._jacobian(crs, (window.row0 + window.row1 - 1) / 2, (window.col0 + window.col1 - 1) / 2) * unit_m
-        cell_m = np.sqrt(abs(np.linalg.det(to_m)))
-        if not np.isfinite(cell_m) or cell_m == 0:
-            raise SourceError(self.name, f"its CRS '{self.crs.name}'", f"a CRS that can be transformed into '{crs.name}'")
-        shown_m = _shown_m(cell_m, crown_of)
-        if shown_m > LEAST_HEIGHT_M:
+        to_m, cell_m = self._metres_from_cells(crs, unit_m, window), self.cell_m(crs, unit_m, window)
+        shown_m = _shown_m(cell_m, crown_of, self.least_m)
+        if self.least_m < TREE_HEIGHT_M:
+            shown_m = max(shown_m, TREE_HEIGHT_M)  # hedges and vines have no tops: they are closed
+        if shown_m > self.least_m:
             side = max(_SQUARE_M, _SQUARE_CELLS * cell_m) / unit_m
             for square in self._squares(crs, window, side):
                 yield from self._scattered(crs, unit_m, square, crown_of, shown_m, seed)
@@ -189,7 +190,7 @@ class Canopy:
 
         ``metres_from_cells`` (2, 2) takes a step of columns and rows to one on the ground.
         """
-        steps, distance_m = _steps(metres_from_cells, window_m[0] + window_m[1] * MOST_HEIGHT_M)
+        steps, distance_m = _steps(metres_from_cells, window_m[0] + window_m[1] * MAX_HEIGHT_M)
         halo = int(np.abs(steps).max())
         for top in range(window.row0, window.row1, _BLOCK):
             for left in range(window.col0, window.col1, _BLOCK):
@@ -199,15 +200,36 @@ class Canopy:
                 row, col = np.nonzero(is_top)
                 yield row + top, col + left, heights[row + halo, col + halo].astype(np.float64)
 
-    def any_known(self) -> bool:
-        """Whether any cell has a height at all, be it 0 (large rasters: looked at every few cells)."""
-        shape = min(self.rows, _BLOCK), min(self.cols, _BLOCK)
-        data = self._dataset.read(1, out_shape=shape, masked=True)
-        return bool(np.isfinite(data.astype(np.float64).filled(np.nan)).any())
+    def sample(self, window: CellWindow, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows, columns and heights in metres (n,), NaN where there are none, of the cells of a window: of a large one every few,
+        ``most`` a side.
+        """
+        rows, cols = window.row1 - window.row0, window.col1 - window.col0
+        shape = min(rows, most), min(cols, most)
+        try:
+            part = Window(window.col0, window.row0, cols, rows)
+            data = self._dataset.read(1, window=part, out_shape=shape, masked=True)
+        except RasterioError:
+            raise SourceError(self.name, "a part that cannot be read", "an undamaged file") from None
+        heights = data.astype(np.float64).filled(np.nan) * self._scale + self._offset
+        row, col = np.indices(shape)
+        rows_at = window.row0 + np.floor((row + 0.5) * rows / shape[0])
+        cols_at = window.col0 + np.floor((col + 0.5) * cols / shape[1])
+        return rows_at.ravel(), cols_at.ravel(), np.where(np.isfinite(heights), heights, np.nan).ravel()
+
+    def cell_m(self, crs: CRS, unit_m: float, window: CellWindow) -> float:
+        """Metres that a cell of a window is long and wide on the ground. Raises ``SourceError`` off what ``crs`` covers."""
+        cell_m = float(np.sqrt(abs(np.linalg.det(self._metres_from_cells(crs, unit_m, window)))))
+        if not np.isfinite(cell_m) or cell_m == 0:
+            raise SourceError(self.name, f"its CRS '{self.crs.name}'", f"a CRS that can be transformed into '{crs.name}'")
+        return cell_m
 
     def close(self) -> None:
         """Close the raster."""
         self._dataset.close()
+
+    def _metres_from_cells(self, crs: CRS, unit_m: float, window: CellWindow) -> np.ndarray:
+        return self._jacobian(crs, (window.row0 + window.row1 - 1) / 2, (window.col0 + window.col1 - 1) / 2) * unit_m
 
     def _jacobian(self, crs: CRS, row: float, col: float) -> np.ndarray:
         """(2, 2): x, y in ``crs`` for a step of a column and one of a row."""
@@ -241,7 +263,7 @@ class Canopy:
         west, south, _, _ = square.bounds
         origin, step, heights = self._straightened(crs, square)
         heights = np.where(heights < below_m, heights, 0.0)
-        edges_m = _height_classes(crown_of)
+        edges_m = _height_classes(crown_of, self.least_m)
         present = np.unique(np.searchsorted(edges_m, heights[heights > 0], side="right") - 1)
         for number in present.tolist():
             least, most = edges_m[number : number + 2]
@@ -286,21 +308,21 @@ def room_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
     return cKDTree(points).query(points, k=NEIGHBOURS + 1, workers=-1)[0][:, 1:].mean(axis=1) * unit_m
 
 
-def _shown_m(cell_m: float, crown_of: Callable[[np.ndarray], np.ndarray]) -> float:
+def _shown_m(cell_m: float, crown_of: Callable[[np.ndarray], np.ndarray], least_m: float) -> float:
     """Height from which cells of a size show trees one by one: 0 for all trees, infinite for none."""
-    heights = np.geomspace(LEAST_HEIGHT_M, MOST_HEIGHT_M, 1000)
+    heights = np.geomspace(least_m, MAX_HEIGHT_M, 1000)
     hidden = crown_of(heights) < CROWN_CELLS * cell_m
     if cell_m > COARSE_CELL_M or hidden.all():
         return np.inf
     return float(heights[hidden][-1]) if hidden.any() else 0.0
 
 
-def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray], least_m: float) -> np.ndarray:
     """Edges of height classes, metres, in each of which crowns grow by no more than the root of two."""
-    heights = np.geomspace(LEAST_HEIGHT_M, MOST_HEIGHT_M, 1000)
+    heights = np.geomspace(least_m, MAX_HEIGHT_M, 1000)
     octave = np.floor(2.0 * np.log2(crown_of(heights) / crown_of(heights[:1])))
     first = np.flatnonzero(np.diff(octave, prepend=-1.0) > 0)
-    return np.append(heights[first], np.nextafter(MOST_HEIGHT_M, np.inf))
+    return np.append(heights[first], np.nextafter(MAX_HEIGHT_M, np.inf))
 
 
 def _steps(metres_from_cells: np.ndarray, most_m: float) -> tuple[np.ndarray, np.ndarray]:

@@ -16,15 +16,25 @@ from pyproj.crs import GeographicCRS, ProjectedCRS
 from pyproj.crs.coordinate_operation import LambertAzimuthalEqualAreaConversion
 from pyproj.exceptions import ProjError
 
-from terrain.errors import LevelError, SourceError
-from terrain.geo.vectors import Features, attribute_names, numbers, read_features
+from terrain.errors import MISSING_VALUE, LevelError, SourceError
+from terrain.geo.vectors import Features, attribute_names, numbers, read_features, vector_layer
 from terrain.geo.world import World, transformer
 from terrain.ground.elevation import Elevation
+from terrain.ground.length_text import length_m
 from terrain.level.level import LoadedLevel
 from terrain.level.parts import ForestSpec, Species
 from terrain.level.rasters import is_raster
-from terrain.trees.canopy import MAX_CROWN_RATIO, TREETOP_WINDOW_M, Canopy, border_cells, room_m
-from terrain.trees.foliage import TREE_VARIANTS
+from terrain.trees.canopy import COARSE_CELL_M, MAX_CROWN_RATIO, PACKING, TREETOP_WINDOW_M, Canopy, CellWindow, border_cells, room_m
+from terrain.trees.canopy_sample import (
+    MAX_HEIGHT_M,
+    MAX_SHRUBS,
+    SHRUB_HEIGHT_M,
+    TREE_HEIGHT_M,
+    CanopyCells,
+    cells_of,
+    check_above_ground,
+)
+from terrain.trees.crown_sizes import CROWN, CROWN_M, HEIGHT, SPREAD, TURN, line_of, looks_of, own_crown_m
 from terrain.trees.scatter import HECTARE_M2, Places, join_places, point_keys, scatter_trees, shares
 from terrain.trees.thinning import thinning_ranks
 from terrain.trees.trees import Trees
@@ -35,23 +45,17 @@ MAX_TREES = 5_000_000
 HEIGHT_M = (8.0, 18.0)
 """Heights where a stand names none."""
 
-POINT_HEIGHT = "height"
-"""The attribute that heights of points come from where they have it and the level names nothing else."""
+POINT_HEIGHTS = ("height", "Height", "HEIGHT", "height_m", "Height_m", "HEIGHT_M")
+"""The attributes that heights of points come from, the first that they have, where the level names nothing else."""
 
 USABLE_M = (0.1, 150.0)
 """Heights and crowns of trees; rows of a file beyond them are left out."""
 
-CROWN_M: dict[str, tuple[float, float]] = {"conifer": (1.0, 0.2), "broadleaf": (1.0, 0.3)}
-"""Crown's diameter: metres, and metres per metre of height. Lines along the curves of S. C. Popescu, R. H. Wynne (Seeing the
-trees in the forest, 2004) for pines and deciduous trees of 8 to 25 m, which give saplings crowns wider than high."""
-
-CROWN_SPREAD = 0.15
-"""How far single crowns lie from the line, as a share of it."""
+SAMPLES_A_SIDE, PLACES_A_SIDE = 1024, 64
+"""Of a canopy's cells: to tell which shares bear trees, and to compare their heights with the ground's."""
 
 FARTHEST_M = 5e6
 """Terrain that reaches farther than this from the anchor has no outline in the level's equal-area map."""
-
-_HEIGHT, _CROWN, _SPECIES, _LOOK, _TURN, _SPREAD = range(6)  # streams of shares
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +63,12 @@ class Site:
     """Where trees are placed before they stand on the ground: a metric map of the level.
 
     On the globe it is an equal-area map about the anchor, so that a density means the same everywhere; a flat world is its
-    own. ``unit_m`` is the metres of its unit.
+    own. ``unit_m`` is the metres of its unit; ``exaggeration`` multiplies the heights of the elevation.
     """
 
     world: World
     elevation: Elevation
+    exaggeration: float = 1.0
 
     @cached_property
     def crs(self) -> CRS:
@@ -99,58 +104,90 @@ class Site:
 @dataclass(frozen=True, eq=False)
 class Stems:
     """Trees of a stand, one row each: places in the site's map, heights, and crowns (``None``: as usual for the height),
-    ``room_m`` the most that a crown can be.
+    ``room_m`` the most that a crown can be. ``notes`` say what was read, ``left_out`` what bears no tree, ``warnings`` what may be
+    wrong.
     """
 
     places: Places
     height_m: np.ndarray
     crown_m: np.ndarray | None
     room_m: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+    left_out: str = ""
+    warnings: tuple[str, ...] = ()
 
     def __getitem__(self, chosen: np.ndarray) -> Stems:
         p, crown, room = self.places, self.crown_m, self.room_m
         places = Places(p.x[chosen], p.y[chosen], p.key[chosen])
-        return Stems(
-            places, self.height_m[chosen], None if crown is None else crown[chosen], None if room is None else room[chosen]
-        )
+        return replace(
+            self, places=places, height_m=self.height_m[chosen], crown_m=None if crown is None else crown[chosen],
+            room_m=None if room is None else room[chosen],
+        )  # fmt: skip
 
 
-def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Trees | None:
-    """All trees of a level, ``None`` where there are none.
+@dataclass(frozen=True, eq=False)
+class Planting:
+    """The trees of a level, ``None`` where there are none; what was read of their files, and what may be wrong, in words."""
+
+    trees: Trees | None
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Planting:
+    """Plant all trees of a level.
 
     Trees stand on the ground's full resolution; those off the terrain, over holes or under water are left out. Stands of one
     density and seed share their places, so that neighbours never collide; stands that overlap need seeds of their own. Raises
     ``LevelError`` or ``SourceError`` where a stand's file or keys are wrong, a stand is wholly outside, or there are more than
     ``MAX_TREES``.
     """
-    site, stands, count = Site(world, elevation), [], 0
+    site, stands, count = Site(world, elevation, loaded.level.terrain.exaggeration), [], 0
+    notes: list[str] = []
+    warnings: list[str] = []
     for number, spec in enumerate(loaded.level.forest):
         where = f"{loaded.path}: forest.{number}"
         stems = _stems(spec, loaded.resolve(spec.source), where, site, MAX_TREES - count)
         trees = _planted(stems, spec.species, where, site)
         count += len(trees.rank)
         stands.append(trees)
+        notes += [f"{spec.source}: {note}" for note in (*stems.notes, *_planted_words(stems, len(trees.rank)))]
+        warnings += [f"{spec.source}: {text}" for text in stems.warnings]
+        if not len(trees.rank):
+            warnings.append(f"{spec.source}: no tree is planted{f': {stems.left_out}' if stems.left_out else ''}")
     if not count:
-        return None
+        return Planting(None, tuple(notes), tuple(warnings))
     trees = Trees(**{name: np.concatenate([getattr(s, name) for s in stands]) for name in Trees.__dataclass_fields__})
     east, north, _ = world.earth_from_anchor.T @ (trees.base_earth_m - world.anchor_earth_m).T
-    return replace(trees, rank=thinning_ranks(east, north))
+    return Planting(replace(trees, rank=thinning_ranks(east, north)), tuple(notes), tuple(warnings))
+
+
+def _planted_words(stems: Stems, planted: int) -> list[str]:
+    """What came of a stand, in words."""
+    lost = len(stems.places) - planted
+    off = [f"{lost} off the terrain, over its holes or under water"] if lost else []
+    left_out = "; ".join([*off, *([stems.left_out] if stems.left_out else [])])
+    return [f"{planted} trees planted" + (f"; left out: {left_out}" if left_out else "")]
 
 
 def _stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> Stems:
     """The stems of a stand, by the kind of its file."""
     named = list(dict.fromkeys(name for name in (spec.height, spec.crown) if isinstance(name, str)))
     try:
-        features = _parts(read_features(source, site.crs, named, [POINT_HEIGHT] if spec.height is None else []))
+        layer = vector_layer(source, (0, 2), spec.layer)
+        read = read_features(source, site.crs, named, POINT_HEIGHTS if spec.height is None else (), layer)
     except SourceError:
         if _is_vector(source):
             raise
         return _canopy_stems(spec, source, where, site, most)
+    if spec.least_height is not None:
+        raise LevelError(f"{where}.least_height", spec.least_height, "no least height: the source is no raster of canopy heights")
+    features = _parts(read)
     dimensions = shapely.get_dimensions(features.geometry)
     if (dimensions == 2).all():
-        return _polygon_stems(spec, features, where, site, most)
+        return replace(_polygon_stems(spec, features, where, site, most), notes=layer.notes)
     if (dimensions == 0).all():
-        return _point_stems(spec, features, where, site, most)
+        return replace(_point_stems(spec, features, where, site, most), notes=layer.notes)
     found = "lines" if (dimensions == 1).any() else "both polygons and points"
     raise SourceError(source, found, "only polygons, only points, or a raster of canopy heights")
 
@@ -168,7 +205,7 @@ def _is_vector(source: str) -> bool:
 
 def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site, most: int) -> Stems:
     if spec.density is None:
-        raise LevelError(f"{where}.density", "nothing", "trees per hectare: the source has polygons")
+        raise LevelError(f"{where}.density", MISSING_VALUE, "trees per hectare: the source has polygons")
     geometry, index = features.geometry, np.arange(len(features.geometry))
     if site.outline is not None:
         shapely.prepare(site.outline)
@@ -185,8 +222,8 @@ def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site,
     owner = np.repeat(index, [len(places) for places in stands])
     places, first = join_places(stands)
     owner = owner[first]
-    height = _values(spec.height or HEIGHT_M, features, owner, places.key, _HEIGHT)
-    crown = None if spec.crown is None else _values(spec.crown, features, owner, places.key, _CROWN)
+    height = _values(spec.height or HEIGHT_M, features, owner, places.key, HEIGHT)
+    crown = None if spec.crown is None else _values(spec.crown, features, owner, places.key, CROWN)
     return _usable(Stems(places, height, crown))
 
 
@@ -201,14 +238,14 @@ def _point_stems(spec: ForestSpec, features: Features, where: str, site: Site, m
     first = on[first]
     if len(key) > most:
         raise _too_many(where, len(key), most)
-    height_source = spec.height or (POINT_HEIGHT if POINT_HEIGHT in features.attributes else HEIGHT_M)
-    height = _values(height_source, features, first, key, _HEIGHT)
-    crown = None if spec.crown is None else _values(spec.crown, features, first, key, _CROWN)
+    height_source = spec.height or next((name for name in POINT_HEIGHTS if name in features.attributes), HEIGHT_M)
+    height = _values(height_source, features, first, key, HEIGHT)
+    crown = None if spec.crown is None else _values(spec.crown, features, first, key, CROWN)
     return _usable(Stems(Places(x[first], y[first], key), height, crown))
 
 
 def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> Stems:
-    for name in ("density", "height"):
+    for name in ("density", "height", "layer"):
         if getattr(spec, name) is not None:
             raise LevelError(f"{where}.{name}", getattr(spec, name), f"no {name}: the source is a raster of canopy heights")
     if isinstance(spec.crown, str):
@@ -218,21 +255,47 @@ def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: i
         window = canopy.window(site.crs, site.outline)
         if window is None:
             raise _outside(where, shapely.total_bounds(shapely.MultiPoint(canopy.outline(site.crs))), site)
-        base, slope = _line(CROWN_M, spec.species)
-        window_m = _line(TREETOP_WINDOW_M, spec.species)
+        base, slope = line_of(CROWN_M, spec.species)
+        window_m = line_of(TREETOP_WINDOW_M, spec.species)
+        cells = _look_at(canopy, window, site)
+        shrub_m2 = (base + slope * (SHRUB_HEIGHT_M + TREE_HEIGHT_M) / 2) ** 2 / PACKING
+        canopy.least_m = spec.least_height or _least_height_m(cells, window, canopy.cell_m(site.crs, site.unit_m, window), shrub_m2)
         for piece in canopy.trees(site.crs, site.unit_m, window, lambda h: base + slope * h, window_m, spec.seed):
             stands.append(piece)
             count += len(piece.places)
             if count > most:
                 raise _too_many(where, count, most, "or more")
-        if not count and not canopy.any_known():
-            raise SourceError(source, "no height in any cell (all nodata)", "a raster with canopy heights")
     finally:
         canopy.close()
     places, first = join_places([piece.places for piece in stands])
     height = np.concatenate([piece.height_m for piece in stands] or [np.empty(0)])[first]
-    crown = None if spec.crown is None else _values(spec.crown, None, first, places.key, _CROWN)
-    return Stems(places, height, crown, MAX_CROWN_RATIO * room_m(places.x, places.y, site.unit_m))
+    crown = None if spec.crown is None else _values(spec.crown, None, first, places.key, CROWN)
+    warnings = []
+    if cells.absurd > cells.tall:
+        warnings.append(f"more of its cells are higher than {MAX_HEIGHT_M:g} m than are trees: is the unit of its heights right?")
+    return Stems(
+        places, height, crown, MAX_CROWN_RATIO * room_m(places.x, places.y, site.unit_m),
+        left_out=f"of its cells {said}" if (said := cells.left_out(canopy.least_m)) else "", warnings=tuple(warnings),
+    )  # fmt: skip
+
+
+def _look_at(canopy: Canopy, window: CellWindow, site: Site) -> CanopyCells:
+    """What a canopy's cells hold. Raises ``SourceError`` where none has a height, and for heights above the sea."""
+    _, _, heights_m = canopy.sample(window, SAMPLES_A_SIDE)
+    if np.isnan(heights_m).all():
+        _, _, anywhere_m = canopy.sample(CellWindow(0, 0, canopy.rows, canopy.cols), SAMPLES_A_SIDE)
+        if np.isnan(anywhere_m).all():
+            raise SourceError(canopy.name, "no height in any cell (all nodata)", "a raster with canopy heights")
+    row, col, some_m = canopy.sample(window, PLACES_A_SIDE)
+    ground_m = site.elevation.ground_m(*site.on_terrain(*canopy.xy(site.crs, row, col)))
+    check_above_ground(canopy.name, some_m, ground_m / site.exaggeration)
+    return cells_of(heights_m)
+
+
+def _least_height_m(cells: CanopyCells, window: CellWindow, cell_m: float, shrub_m2: float) -> float:
+    """The height from which a canopy is planted: with shrubs where they are most of it, and neither too small nor too many."""
+    shrubs = cells.low * (window.row1 - window.row0) * (window.col1 - window.col0) * cell_m**2 / shrub_m2
+    return SHRUB_HEIGHT_M if cells.is_low and cell_m <= COARSE_CELL_M and shrubs <= MAX_SHRUBS else TREE_HEIGHT_M
 
 
 def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
@@ -245,9 +308,9 @@ def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
     there = ground_m > site.elevation.water_m
     stems, x, y, ground_m = stems[there], x[there], y[there], ground_m[there]
     key = stems.places.key
-    variant = _looks(key, species)
+    variant = looks_of(key, species)
     if stems.crown_m is None:
-        crown_m = _own_crown_m(stems.height_m, variant, shares(key, _SPREAD))
+        crown_m = own_crown_m(stems.height_m, variant, shares(key, SPREAD))
         crown_m = crown_m if stems.room_m is None else np.minimum(crown_m, stems.room_m)
     else:
         crown_m = stems.crown_m
@@ -256,38 +319,10 @@ def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
         base_earth_m=point + ground_m[:, None] * up,
         height_m=stems.height_m.astype(np.float32),
         crown_m=crown_m.astype(np.float32),
-        turn_deg=(180.0 * shares(key, _TURN)).astype(np.float32) % np.float32(180.0),
+        turn_deg=(180.0 * shares(key, TURN)).astype(np.float32) % np.float32(180.0),
         variant=variant,
         rank=np.zeros(len(key), np.float32),  # given to all stands together
     )
-
-
-def _looks(key: np.ndarray, species: Species) -> np.ndarray:
-    """Looks uint8 (n,) of a species; of ``mixed`` stands half the trees are conifers."""
-    kinds = {
-        kind: np.array([n for n, variant in enumerate(TREE_VARIANTS) if variant.species == kind], np.uint8) for kind in CROWN_M
-    }
-    share = shares(key, _LOOK)
-    drawn = {kind: looks[(share * len(looks)).astype(int)] for kind, looks in kinds.items()}
-    if species != "mixed":
-        return drawn[species]
-    return np.where(shares(key, _SPECIES) < 0.5, drawn["conifer"], drawn["broadleaf"])
-
-
-def _line(lines: dict[str, tuple[float, float]], species: Species) -> tuple[float, float]:
-    """Metres, and metres per metre of height, for a species (``mixed``: between both)."""
-    of_species = list(lines.values()) if species == "mixed" else [lines[species]]
-    base, slope = np.mean(of_species, axis=0).tolist()
-    return base, slope
-
-
-def _own_crown_m(height_m: np.ndarray, variant: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Diameters of single crowns: their species' usual ones, wider or narrower as the look is among its kin."""
-    mean_ratio = {kind: np.mean([k.crown_to_height for k in TREE_VARIANTS if k.species == kind]) for kind in CROWN_M}
-    base, slope, wide = np.array([(*CROWN_M[k.species], k.crown_to_height / mean_ratio[k.species]) for k in TREE_VARIANTS]).T[
-        :, variant
-    ]
-    return (base + slope * height_m) * wide * (1.0 + CROWN_SPREAD * (2.0 * share - 1.0))
 
 
 def _values(
@@ -297,7 +332,7 @@ def _values(
     if not isinstance(given, str):
         return given[0] + (given[1] - given[0]) * shares(key, stream)
     assert features is not None
-    values = numbers(features, given)
+    values = numbers(features, given, length_m)
     with np.errstate(invalid="ignore"):
         usable = (values >= USABLE_M[0]) & (values <= USABLE_M[1])
     if not usable.any():
@@ -307,7 +342,9 @@ def _values(
 
 def _usable(stems: Stems) -> Stems:
     known = np.isfinite(stems.height_m)
-    return stems[known if stems.crown_m is None else known & np.isfinite(stems.crown_m)]
+    known = known if stems.crown_m is None else known & np.isfinite(stems.crown_m)
+    lost = np.count_nonzero(~known)
+    return replace(stems[known], left_out=f"{lost} without a usable height or crown" if lost else "")
 
 
 def _parts(features: Features) -> Features:
@@ -317,8 +354,7 @@ def _parts(features: Features) -> Features:
         geometry, index = shapely.get_parts(geometry, return_index=True)
         row = row[index]
     there = ~shapely.is_empty(geometry)
-    geometry, row = geometry[there], row[there]
-    return Features(features.name, geometry, {name: values[row] for name, values in features.attributes.items()}, features.dropped)
+    return replace(features[row[there]], geometry=geometry[there])
 
 
 def _moved(source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

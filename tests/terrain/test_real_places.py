@@ -18,7 +18,7 @@ from shadows.render import render_frame
 from terrain.describe import describe
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
-from terrain.trees.canopy import LEAST_HEIGHT_M
+from terrain.trees.canopy_sample import TREE_HEIGHT_M
 
 CITY = "urban/goteborg_1m"
 ROOF_M = 0.2
@@ -95,11 +95,11 @@ def test_trees_are_the_canopys(scene_of, shared_data, name):
     town, scene = PLACES[name], scene_of(name)
     trees = scene.objects.trees
     canopy_m, transform = heights_of(shared_data / town.canopy)
-    canopy_m2 = (canopy_m >= LEAST_HEIGHT_M).sum() * abs(transform.determinant)
+    canopy_m2 = (canopy_m >= TREE_HEIGHT_M).sum() * abs(transform.determinant)
     crowns_m2 = (np.pi / 4 * trees.crown_m.astype(np.float64) ** 2).sum()
     assert 0.4 < crowns_m2 / canopy_m2 < 1.5
     assert 0.8 * canopy_m.max() < trees.height_m.max() <= canopy_m.max() + 0.01
-    assert trees.height_m.min() >= LEAST_HEIGHT_M
+    assert trees.height_m.min() >= TREE_HEIGHT_M
     x, y, foot_m = scene.objects.trees_on(scene.elevation.crs).T
     np.testing.assert_allclose(foot_m, scene.elevation.ground_m(x, y), atol=1e-3)
     col, row = (np.floor(v).astype(int) for v in ((x - transform.c) / transform.a, (y - transform.f) / transform.e))
@@ -108,7 +108,7 @@ def test_trees_are_the_canopys(scene_of, shared_data, name):
     # The cell below a tree, or one beside it where cells are coarse and trees are scattered over them.
     nearest = np.max([np.roll(canopy_m, shift, (0, 1)) for shift in np.ndindex(3, 3)], axis=0)
     nearest = np.roll(nearest, (-1, -1), (0, 1))
-    assert (nearest[row[inside], col[inside]] >= LEAST_HEIGHT_M).mean() > 0.99
+    assert (nearest[row[inside], col[inside]] >= TREE_HEIGHT_M).mean() > 0.99
 
 
 def test_buildings_are_the_footprints_inside_the_raster_as_high_as_the_surface(scene_of, shared_data):

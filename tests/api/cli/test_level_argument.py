@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,27 @@ def test_shade_select_and_validate_take_them(gl, run, site):
     assert status == 0 and " trees, " in out and "1 meshes of" in out
     status, out, _ = run("select", raster, *given, "--policy", "rules", "--json")
     assert status == 0 and set(json.loads(out)["algorithm"]["sun"]) == {"relief", "meshes", "forest"}
+
+
+def test_validate_tells_what_was_read(run, site):
+    raster, given = str(site / "dem.tif"), ("--canopy", str(site / "canopy.tif"), "--buildings", str(site / "houses.geojson"))
+    status, out, _ = run("validate", raster, *given)
+    assert status == 0 and "note: " in out and "warning" not in out
+    assert "houses.geojson: heights: 1 of 1 footprints by the attribute 'height_m'" in out
+    planted = re.search(r"note: .*canopy.tif: (\d+) trees planted; left out: of its cells 99.6 % lower than 0.5 m\n", out)
+    assert planted is not None and f"note: {planted[1]} trees, " in out
+
+
+def test_what_stands_on_nothing_is_told_by_every_command(gl, run, site):
+    """Each in one line, as the work goes on."""
+    write_geotiff(site / "canopy.tif", np.zeros((80, 80), np.float32), "EPSG:32633", WEST, NORTH, CELL)
+    raster, canopy = str(site / "dem.tif"), str(site / "canopy.tif")
+    said = f"{canopy}: no tree is planted: of its cells 100 % lower than 0.5 m\n"
+    size, date = ("--size", "40x40"), ("--date", "2024-03-21", "--step", "1h")
+    for command, options in (("render", (*SUN, *size)), ("shade", SUN), ("sunhours", date)):
+        status, _, err = run(command, raster, "--canopy", canopy, *options, "-o", str(site / f"{command}.tif"))
+        assert (status, err) == (0, f"skugga: warning: {said}"), command
+    assert f"note: warning: {said}" in run("validate", raster, "--canopy", canopy)[1]
 
 
 def test_the_service_takes_them_and_its_render_processes_too(site):

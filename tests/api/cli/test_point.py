@@ -115,15 +115,59 @@ def test_a_track_with_arrivals(run, valley, tmp_path):
     assert status == 0 and "in shadow, relief" in out
 
 
+def test_a_gpx_is_a_track_and_its_points_have_times(run, valley, tmp_path):
+    """Its first layer, waypoints, is empty."""
+    file = tmp_path / "tour.gpx"
+    steps = "".join(
+        f'<trkpt lat="47.5" lon="{lon}"><time>2024-10-21T{hour}:00:00Z</time></trkpt>'
+        for lon, hour in (("14.98", "06"), ("15.03", "10"))
+    )
+    head = '<?xml version="1.0"?><gpx version="1.1" creator="x" xmlns="http://www.topografix.com/GPX/1/1">'
+    file.write_text(f"{head}<trk><trkseg>{steps}</trkseg></trk></gpx>", encoding="utf-8")
+    status, out, err = run("point", valley, "--line", str(file), "--start", TIME, "--every", "500", "--json")
+    assert status == 0, err
+    assert len(json.loads(out)) == 9
+    status, out, err = run("point", valley, "--points", str(file), "--json")
+    assert status == 0, err
+    rows = json.loads(out)
+    assert [row["time"] for row in rows] == ["2024-10-21T06:00:00+00:00", "2024-10-21T10:00:00+00:00"]
+    assert [row["now"]["lit"] for row in rows] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("p.csv", "lon,lat,time\n15.0,47.5,2024-10-21T08:00\n", "p.csv: 'line 2: time = 2024-10-21T08:00'; needed: an ISO 8601"),
+        ("p.csv", "lon,lat\n15.0,47.5\n15.0,north\n", "p.csv: 'line 3: 15.0,north'; needed: numbers"),
+        (
+            "p.geojson",
+            json.dumps({
+                "type": "FeatureCollection", "features": [
+                    {"type": "Feature", "properties": {"Time": time}, "geometry": {"type": "Point", "coordinates": [15.0, 47.5]}}
+                    for time in ("2024-10-21T08:00:00Z", "soon")
+                ],
+            }),
+            "p.geojson: 'feature 2 of 2: time = soon'; needed: an ISO 8601 time",
+        ),
+    ],
+)  # fmt: skip
+def test_one_bad_point_among_many_is_named(run, valley, tmp_path, name, text, said):
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    status, _, error = run("point", valley, "--points", str(tmp_path / name))
+    assert status == 2 and said in error and len(error.strip().splitlines()) == 1, error
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["--at", "0,0"], "point: '0,0' is not allowed; allowed: a place on the level's data: longitudes 14.9"),
         (["--at", "here"], "--at: 'here' is not allowed"),
-        ([], "--at: 'nothing' is not allowed"),
+        ([], "--at: missing; allowed: LON,LAT"),
         ([AT], "unexpected extra argument"),
         (["--at", AT, "--date", "monday"], "date: 'monday' is no date"),
         (["--at", AT, "--clock", "Mars", "--date", "2024-01-01"], "clock: 'Mars' is not allowed"),
+        (["--at", AT, "--clock", "", "--date", "2024-01-01"], "clock: '' is not allowed; allowed: solar, utc, an offset"),
+        (["--at", AT, "--clock", "Pacific/Apia", "--date", "2011-12-30"], "date: '2011-12-30' is not allowed"),
         (["--at", AT, "--height", "-3"], "--height: '-3.0' is not allowed"),
         (["--at", AT, "--horizon", "roof.hor"], "--horizon: 'roof.hor' is not allowed; allowed: pvgis-csv, pvgis-json"),
         (["--at", AT, "--output", "roof.hor"], "--output: 'roof.hor' is not allowed; allowed: --horizon FORMAT beside it"),

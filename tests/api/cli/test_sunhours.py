@@ -44,6 +44,8 @@ def test_days_over_a_threshold_by_a_clock(run, raster, tmp_path):
         (["--to", "2024-03-20"], "to: '2024-03-20'"),
         (["--window", "16:00-08:00"], "window: '16:00-08:00'"),
         (["--clock", "Europe/Gotham"], "clock: 'Europe/Gotham'"),
+        (["--clock", ""], "clock: '' is not allowed"),
+        (["--clock", "Pacific/Apia", "--date", "2011-12-30"], "date: '2011-12-30'"),
         (["--step", "5"], "--step: '5'"),
         (["--step", "2h"], "--step: '2h'"),
         (["--every", "12h"], "every: '12h'"),

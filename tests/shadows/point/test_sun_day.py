@@ -7,13 +7,14 @@ from datetime import UTC, date, datetime, timedelta
 import numpy as np
 import pytest
 
-from shadows.point.clock import clock_of, day_ends, solar_clock
+from shadows.point.clock import clock_of, solar_clock
 from shadows.point.horizon import sun_reaches, surroundings
 from shadows.point.place import place_at
 from shadows.point.sun_angles import angles_at, sun_directions
 from shadows.point.sun_day import hours_between_looks, sun_day
 from shadows.point.sun_year import sun_year
 from terrain.errors import InputError
+from terrain.geo.clock import day_ends
 from terrain.geo.sun import apparent_position
 
 DAY = date(2024, 10, 21)
@@ -111,6 +112,19 @@ def test_clocks():
     for name in ("Mars", "../etc", "", "+25:00"):
         with pytest.raises(InputError, match="clock"):
             clock_of(name, None, DAY)
+
+
+def test_a_day_that_a_calendar_leaves_out_is_refused(at):
+    """Samoa went over 30 December 2011; its sun is up for 13 hours on the days before and after."""
+    around, apia = at(np.zeros((41, 41))), clock_of("Pacific/Apia", None, DAY)
+    with pytest.raises(InputError, match="date: '2011-12-30' is not allowed; allowed: a day of Pacific/Apia"):
+        sun_day(around, date(2011, 12, 30), apia)
+    with pytest.raises(InputError, match="date: '2011-12-30'"):
+        hours_between_looks(around, date(2011, 12, 30), apia)
+    year = sun_year(around, 2011, apia)
+    assert len(year.days) == len(year.daylight_h) == 364 and date(2011, 12, 30) not in year.days
+    assert year.daylight_h.min() > 6.0
+    assert year.daylight_h[-1] == pytest.approx(sun_day(around, date(2011, 12, 31), apia).daylight_h, abs=0.1)
 
 
 def test_at_noon_of_the_solar_clock_the_sun_is_in_the_south():

@@ -11,11 +11,12 @@ from pyproj import CRS
 
 from terrain.errors import InputError
 from terrain.geo.clock import SOLAR, date_of
-from terrain.geo.daily_windows import daily_window, dates_of, solar_min
+from terrain.geo.daily_windows import daily_window, dates_of, solar_min, windows_asked
 from terrain.geo.sun_path import sun_path
 from terrain.geo.world import World
 
 OSLO = ZoneInfo("Europe/Oslo")
+APIA = ZoneInfo("Pacific/Apia")
 LON, LAT = 10.75, 59.9
 
 
@@ -52,6 +53,36 @@ def test_a_reading_that_is_left_out_and_one_that_there_is_twice(world):
     assert left_out.reading_min(0.0) == 210.0
     twice = daily_window(date(2024, 10, 27), 150.0, 151.0, OSLO, world)  # from the first 02:30 to the second 02:31
     assert twice.minutes == 61.0
+
+
+@pytest.mark.parametrize(("day", "hours"), [("2024-11-02", 24), ("2024-11-03", 25), ("2024-03-10", 23)])
+def test_days_meet_where_midnight_comes_twice(world, day, hours):
+    """In Havana clocks go back from 01:00 to 00:00, and forward from 00:00 to 01:00."""
+    window = daily_window(date.fromisoformat(day), 0.0, 1440.0, ZoneInfo("America/Havana"), world)
+    assert window.minutes == hours * 60
+
+
+def test_a_date_that_a_calendar_leaves_out_is_refused(world):
+    with pytest.raises(InputError, match=r"date: '2011-12-30' is not allowed; allowed: a day of Pacific/Apia"):
+        daily_window(date(2011, 12, 30), 0.0, 1440.0, APIA, world)
+    with pytest.raises(InputError, match=r"to: '2011-12-30'"):
+        windows_asked(world, date(2011, 12, 28), date(2011, 12, 30), 1, (0.0, 1440.0), APIA)
+
+
+def test_dates_round_one_that_is_left_out_are_whole_days(world):
+    """Four dates, of which the calendar has three: a mean over them has no day without sun."""
+    windows = windows_asked(world, date(2011, 12, 28), date(2011, 12, 31), 1, (0.0, 1440.0), APIA)
+    assert [window.date.day for window in windows] == [28, 29, 31]
+    assert [window.minutes for window in windows] == [1440.0] * 3
+    assert windows[1].start + timedelta(days=1) == windows[2].start
+
+
+@pytest.mark.parametrize("readings", [(120.0, 180.0), (150.0, 180.0)])
+def test_a_window_that_the_clock_goes_over_is_refused_and_left_out_of_spans(world, readings):
+    with pytest.raises(InputError, match=r"window: '02:[03]0-03:00' .* readings of Europe/Oslo on 2024-03-31"):
+        daily_window(date(2024, 3, 31), *readings, OSLO, world)
+    windows = windows_asked(world, date(2024, 3, 30), date(2024, 4, 1), 1, readings, OSLO)
+    assert [window.date.day for window in windows] == [30, 1]
 
 
 @pytest.mark.parametrize("day", [date(2024, 2, 11), date(2024, 11, 3), date(2024, 6, 21)])

@@ -12,7 +12,7 @@ import shapely
 from pyproj import CRS, Transformer
 
 from terrain.errors import SourceError
-from terrain.geo.vectors import LONGEST_EDGE, attribute_names, numbers, read_features
+from terrain.geo.vectors import LONGEST_EDGE, attribute_names, numbers, read_features, vector_layer
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32632)
@@ -137,6 +137,107 @@ def test_numbers_written_as_text_are_numbers_and_other_text_is_not(geojson):
     rows = [{"h": "12.5", "kind": "oak"}, {"h": None, "kind": "elm"}, {"h": " ", "kind": None}]
     features = read_features(geojson([point(9, 47)] * 3, rows), UTM, ["h", "kind"])
     np.testing.assert_array_equal(numbers(features, "h"), [12.5, np.nan, np.nan])
-    with pytest.raises(SourceError, match="'kind = oak'; needed: numbers in the attribute 'kind'"):
+    with pytest.raises(SourceError, match="'kind = oak at feature 1 of 3'; needed: numbers in the attribute 'kind'"):
         numbers(features, "kind")
     assert attribute_names(features.name) == ("h", "kind")
+
+
+# -- layers
+
+
+@pytest.fixture
+def layered(tmp_path):
+    """A GeoPackage with a table, a layer without features, then points, parcels and buildings."""
+    path = tmp_path / "town.gpkg"
+    square = [shapely.box(5e5, 5.2e6, 500010, 5200010)]
+    layers = {
+        "empty": ([], "Polygon", {}), "wells": ([shapely.Point(5e5, 5.2e6)], "Point", {}),
+        "parcels": (square, "Polygon", {"owner": ["a"]}), "buildings": (square, "Polygon", {"Height": [7.0]}),
+    }  # fmt: skip
+    pyogrio.raw.write(path, None, [np.array(["x"], object)], ["note"], geometry_type=None, driver="GPKG", layer="notes")
+    for name, (geometry, kind, fields) in layers.items():
+        wkb, values = shapely.to_wkb(np.array(geometry, object)), [np.array(value) for value in fields.values()]
+        pyogrio.raw.write(path, wkb, values, list(fields), geometry_type=kind, crs="EPSG:32632", layer=name, append=True)
+    return str(path)
+
+
+def test_vector_layer_is_the_first_that_holds_such_geometries(layered):
+    assert (vector_layer(layered, (0,)).name, vector_layer(layered, (0, 2)).name) == ("wells", "wells")
+    parcels = vector_layer(layered, (2,))
+    assert (parcels.name, parcels.others) == ("parcels", ("buildings",))
+    assert parcels.notes == ("layer 'parcels', and not buildings; layer: names another one",)
+    buildings = vector_layer(layered, (2,), has=lambda names: "Height" in names)
+    assert (buildings.name, buildings.others) == ("buildings", ("parcels",))
+    assert numbers(read_features(layered, UTM, ["Height"], layer=buildings), "Height").tolist() == [7.0]
+    with pytest.raises(SourceError, match="no feature with a geometry|points or polygons"):
+        read_features(layered, UTM, layer=vector_layer(layered, (2,), "empty"))
+
+
+def test_vector_layer_takes_a_name_and_says_which_there_are(layered, geojson):
+    assert vector_layer(layered, (0,), "buildings").name == "buildings"
+    with pytest.raises(SourceError, match="town.gpkg: 'no layer 'roofs''; needed: one of empty, wells, parcels, buildings, notes"):
+        vector_layer(layered, (2,), "roofs")
+    assert vector_layer(geojson([point(9, 47)]), (2,)).name is None
+    with pytest.raises(SourceError, match="no such file"):
+        vector_layer("none.gpkg", (2,))
+
+
+def test_a_file_without_such_geometries_gives_what_it_has(layered):
+    """So that the reader can say what it is."""
+    assert vector_layer(layered, (1,)).name == "wells"
+
+
+TRACK = """<?xml version="1.0"?><gpx version="1.1" creator="x" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>
+<trkpt lat="47.0" lon="9.0"><time>2024-10-21T06:00:00Z</time></trkpt>
+<trkpt lat="47.1" lon="9.1"><time>2024-10-21T07:30:00Z</time></trkpt></trkseg></trk></gpx>"""
+
+
+def test_tracks_of_a_gpx_are_read_behind_its_empty_waypoints(tmp_path):
+    path = tmp_path / "tour.gpx"
+    path.write_text(TRACK, encoding="utf-8")
+    lines = vector_layer(str(path), (1,))
+    assert lines.name == "tracks"
+    assert shapely.get_num_coordinates(read_features(str(path), CRS.from_epsg(4326), layer=lines).geometry).tolist() == [2]
+    points = vector_layer(str(path), (0,))
+    times = read_features(str(path), UTM, ["time"], layer=points).attributes["time"]
+    assert points.name == "track_points" and times.tolist() == ["2024-10-21T06:00:00Z", "2024-10-21T07:30:00Z"]
+
+
+# -- one bad feature among many
+
+SQUARE = [[9.0, 47.0], [9.01, 47.0], [9.01, 47.01], [9.0, 47.0]]
+
+
+@pytest.mark.parametrize(
+    ("bad", "said"),
+    [
+        (
+            [SQUARE[:2]],
+            "feature 3 of 4 .fid 17.: Points of LinearRing do not form a closed linestring'; needed: undamaged geometries",
+        ),
+        ([SQUARE[:3]], "feature 3 of 4 .fid 17.: Points of LinearRing do not form a closed"),
+        ([[[9.0, 47.0], [9.0, 470.0], *SQUARE[2:]]], "feature 3 of 4 .fid 17.: the coordinates 9, 470'"),
+        ([SQUARE, [[x + 1.0, y] for x, y in SQUARE]], "feature 3 of 4 .fid 17.: a hole outside of its polygon, at 10, 47'"),
+    ],
+)
+def test_one_bad_feature_among_many_is_named(geojson, bad, said):
+    source = geojson([{"type": "Polygon", "coordinates": rings} for rings in ([SQUARE], [SQUARE], bad, [SQUARE])])
+    text = json.loads(Path(source).read_text())
+    for number, feature in enumerate(text["features"]):
+        feature["id"] = 15 + number
+    Path(source).write_text(json.dumps(text), encoding="utf-8")
+    with pytest.raises(SourceError, match=said) as caught:
+        read_features(source, UTM)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_hole_in_its_polygon_stays_one(geojson):
+    hole = [[9.006, 47.002], [9.008, 47.002], [9.008, 47.004], [9.006, 47.002]]
+    (read,) = read_features(geojson([{"type": "Polygon", "coordinates": [SQUARE, hole]}]), UTM).geometry
+    assert len(read.interiors) == 1
+
+
+def test_features_are_numbered_as_in_the_file(geojson):
+    features = read_features(geojson([None, point(9, 47), None, point(9.1, 47)]), UTM)
+    assert features.number.tolist() == [2, 4] and features.label(1) == "feature 4 of 4" and features.dropped == 2
+    assert features[np.array([1, 1])].dropped == 3

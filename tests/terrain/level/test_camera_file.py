@@ -38,7 +38,7 @@ def test_dates_with_and_without_quotes_are_the_same(tmp_path):
 WRONG = {
     "keys: []": ("keys", "2 items"),
     f"keys: [{KEY}]": ("keys", "at least 2 items"),
-    "size: [9, 9]": ("keys", "'nothing' is not allowed"),
+    "size: [9, 9]": ("keys", "missing; allowed: a value"),
     f"keys: [{KEY}, {{at: 5, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "as 0s, 90s or 10m, or an ISO 8601 time"),
     f"keys: [{KEY}, {{at: soon, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "'soon' is not allowed"),
     f"keys: [{KEY}, {{at: -5s, eye: [0, 0, 5], target: [9, 9, 0]}}]": ("keys.1.at", "'-5s' is not allowed"),
@@ -50,7 +50,7 @@ WRONG = {
     f"keys: [{KEY}, {{at: 1s, eye: [0, 0, .nan], target: [9, 9, 0]}}]": ("keys.1.eye.2", "nan"),
     f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1], target: [9, 9, 0], fov: 180}}]": ("keys.1.fov", "179"),
     f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1], target: [9, 9, 0], fow: 50}}]": ("keys.1.fow", "did you mean 'fov'?"),
-    f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1]}}]": ("keys.1.target", "'nothing' is not allowed"),
+    f"keys: [{KEY}, {{at: 1s, eye: [0, 0, 1]}}]": ("keys.1.target", "missing; allowed: a value"),
     f"size: [0, 9]\nkeys: [{KEY}, {{at: 1s, eye: [0, 0, 1], target: [9, 9, 0]}}]": ("size.0", "greater than or equal to 1"),
     "just text": ("", "a mapping with the key 'keys'"),
     "keys: [": ("line", "well-formed YAML"),

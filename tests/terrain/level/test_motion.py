@@ -76,13 +76,13 @@ def test_a_height_that_is_left_out_is_the_ground_s(tmp_path):
         (of_lamp(THERE, BACK, own={"position": [0, 0, 3]}), "lights.lamp.position", "allowed: nothing beside a path"),
         (of_lamp(THERE, {"seconds": 9, "position": [1, 2]}), "lights.lamp.motion.path.1.position", "'[1, 2]' is not allowed"),
         (of_lamp(BACK, THERE), "lights.lamp.motion.path.1.seconds", "'0.0' is not allowed; allowed: seconds that rise"),
-        (of_lamp(*AIMS, kind="spot"), "lights.lamp.position", "'nothing' is not allowed; allowed: field required"),
+        (of_lamp(*AIMS, kind="spot"), "lights.lamp.position", "missing; allowed: a value"),
         (of_lamp(THERE, BACK, kind="spot"), "lights.lamp", "allowed: a target for a spot, none for an omni light"),
         (of_lamp(*AIMS, own={"position": [0, 0, 3]}), "lights.lamp", "allowed: a target for a spot, none for an omni light"),
         (of_lamp(THERE, AIMS[1], kind="spot"), "lights.lamp.motion.path.1", "allowed: what the first key has: seconds, position"),
         (of_lamp(THERE, {"seconds": 9}), "lights.lamp.motion.path.1", "allowed: a position, a target or both"),
-        ({"lights": {"lamp": {"kind": "omni"}}}, "lights.lamp.position", "'nothing' is not allowed; allowed: field required"),
-        ({"lights": {"lamp": {"kind": "omni", "motion": {}}}}, "lights.lamp.motion.path", "'nothing' is not allowed"),
+        ({"lights": {"lamp": {"kind": "omni"}}}, "lights.lamp.position", "missing; allowed: a value"),
+        ({"lights": {"lamp": {"kind": "omni", "motion": {}}}}, "lights.lamp.motion.path", "missing; allowed: a value"),
     ],
 )  # fmt: skip
 def test_what_is_refused_says_why_in_one_line(tmp_path, parts, key, said):

@@ -20,8 +20,8 @@ from terrain.geo.vectors import read_features
 from terrain.ground import overview as overview_module
 from terrain.ground.elevation import Elevation
 from terrain.ground.imagery import Imagery
+from terrain.meshes import block_triangles, buildings, models
 from terrain.meshes import body as body_module
-from terrain.meshes import buildings, models
 from terrain.meshes.body import Body
 from terrain.meshes.models import read_model
 from terrain.trees.canopy import Canopy
@@ -43,14 +43,14 @@ def courtyards(side: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("side", [1, 3, 25])
 def test_a_roof_round_courtyards_in_rows_has_no_gap(side):
     xy, ends = courtyards(side)
-    roof = buildings._roof_triangles(xy, ends)
+    roof = block_triangles.roof_triangles(xy, ends)
     assert len(roof) == len(xy) + 2 * (len(ends) - 1) - 2
     a, b, c = np.moveaxis(xy[roof], 1, 0)
     doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     assert (doubled > 0).all() and doubled.sum() / 2 == pytest.approx((4 * side + 4) ** 2 - 4 * side**2)
     edges = {edge for i, j, k in roof.tolist() for edge in ((i, j), (j, k), (k, i))}
     assert len(edges) == 3 * len(roof)
-    ring_edges = set(enumerate(buildings._following(ends).tolist()))
+    ring_edges = set(enumerate(block_triangles._following(ends).tolist()))
     assert {edge for edge in edges if edge[::-1] not in edges} == ring_edges
 
 

@@ -18,8 +18,9 @@ from shapely import affinity
 from terrain.errors import LevelError, SourceError
 from terrain.level.level import load_level
 from terrain.meshes.assemble import place_meshes, solids
+from terrain.meshes.block_triangles import block_triangles, roof_triangles
 from terrain.meshes.body import Body, box, srgb_albedo, transformed
-from terrain.meshes.buildings import FOOTING_M, _block_triangles, _roof_triangles
+from terrain.meshes.buildings import FOOTING_M
 from terrain.scene import build_scene
 from tests.rasters import ENGINEERING
 
@@ -145,11 +146,11 @@ def test_any_block_is_closed_faces_outwards_and_has_its_footprints_roof(polygons
     for polygon in polygons:
         rings = [np.array(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
         xy, ends = np.concatenate(rings), np.cumsum([len(ring) for ring in rings])
-        roof = _roof_triangles(xy - xy[0], ends)
+        roof = roof_triangles(xy - xy[0], ends)
         a, b, c = np.moveaxis(xy[roof], 1, 0)
         area = ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])) / 2
         assert (area > 0).all() and area.sum() == pytest.approx(polygon.area)
-        triangles, is_roof = _block_triangles(roof, ends)
+        triangles, is_roof = block_triangles(roof, ends)
         vertices = np.concatenate([np.insert(xy, 2, height, axis=1) for height in (7.0, 0.0)])
         body = Body(vertices, triangles, (0.5, 0.5, 0.5))
         assert body.closed, polygon.wkt
@@ -314,7 +315,7 @@ def test_a_flat_world(tmp_path):
     "mesh, kind, said",
     [
         ({"height": "storeys"}, SourceError, ["b.gpkg", "no attribute 'storeys'", "tall, name"]),
-        ({}, LevelError, ["meshes.0.height", "nothing", "b.gpkg (tall, name)", "surface and ground"]),
+        ({}, LevelError, ["meshes.0.height: missing", "b.gpkg (tall, name)", "surface and ground"]),
         ({"height": "name"}, SourceError, ["b.gpkg", "name = tower"]),
         ({"height": "tall"}, SourceError, ["b.gpkg", "1500 m at feature 2 of 2", "up to 1000 m"]),
         ({"height": "low"}, SourceError, ["no attribute 'low'"]),

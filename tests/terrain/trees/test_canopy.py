@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 
 from terrain.errors import SourceError
 from terrain.trees import canopy as module
-from terrain.trees.canopy import CROWN_CELLS, LEAST_HEIGHT_M, MOST_HEIGHT_M, PACKING, TREETOP_WINDOW_M, Canopy, CellWindow, room_m
+from terrain.trees.canopy import CROWN_CELLS, PACKING, TREETOP_WINDOW_M, Canopy, CellWindow, room_m
+from terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32633)
@@ -73,7 +74,7 @@ def test_no_top_has_a_higher_cell_in_its_window(write_raster):
         assert raster[distance <= 0.8 + 0.05 * h].max() == np.float32(h)
     expected = {
         (r, c) for r, c in np.ndindex(80, 90)
-        if LEAST_HEIGHT_M <= raster[r, c] <= MOST_HEIGHT_M and raster[r, c] == raster[
+        if TREE_HEIGHT_M <= raster[r, c] <= MAX_HEIGHT_M and raster[r, c] == raster[
             np.maximum(np.hypot(every_row - r, every_col - c) * CELL - 0.05 * raster[r, c], 0) <= 0.8].max()
     }  # fmt: skip
     assert set(zip(row.tolist(), col.tolist(), strict=True)) == expected
@@ -122,7 +123,7 @@ def test_a_coarse_canopy_is_scattered_as_dense_as_its_crowns_close(write_raster)
     assert set(height_m.tolist()) == {15.0}
     row, col = np.floor((5000000 - y) / 10).astype(int), np.floor((x - 500000) / 10).astype(int)
     assert (raster[row, col] == 15.0).all()
-    edges = module._height_classes(lambda h: 1.0 + 0.25 * h)
+    edges = module._height_classes(lambda h: 1.0 + 0.25 * h, TREE_HEIGHT_M)
     number = np.searchsorted(edges, 15.0) - 1
     crown_m = 1.0 + 0.25 * np.sqrt(edges[number] * edges[number + 1])
     assert 0.8 < crown_m / (1.0 + 0.25 * 15.0) < 1.25
@@ -145,9 +146,9 @@ def test_the_height_from_which_cells_show_trees():
     def crown_of(height_m):
         return 1.0 + 0.25 * height_m
 
-    assert module._shown_m(0.25, crown_of) == module._shown_m(1.0, crown_of) == 0.0
-    assert crown_of(module._shown_m(2.5, crown_of)) == pytest.approx(CROWN_CELLS * 2.5, rel=0.01)
-    assert np.isinf(module._shown_m(3.01, crown_of)) and np.isinf(module._shown_m(2.5, np.ones_like))
+    assert module._shown_m(0.25, crown_of, TREE_HEIGHT_M) == module._shown_m(1.0, crown_of, TREE_HEIGHT_M) == 0.0
+    assert crown_of(module._shown_m(2.5, crown_of, TREE_HEIGHT_M)) == pytest.approx(CROWN_CELLS * 2.5, rel=0.01)
+    assert np.isinf(module._shown_m(3.01, crown_of, TREE_HEIGHT_M)) and np.isinf(module._shown_m(2.5, np.ones_like, TREE_HEIGHT_M))
 
 
 def test_a_broad_crown_with_several_humps_is_one_broadleaved_tree_and_several_conifers(write_raster):
@@ -177,10 +178,10 @@ def test_height_classes_hold_every_height_and_grow_by_a_root_of_two():
     def crown_of(height_m):
         return 1.0 + 0.3 * height_m
 
-    edges = module._height_classes(crown_of)
-    assert edges[0] == LEAST_HEIGHT_M and edges[-1] > MOST_HEIGHT_M
+    edges = module._height_classes(crown_of, TREE_HEIGHT_M)
+    assert edges[0] == TREE_HEIGHT_M and edges[-1] > MAX_HEIGHT_M
     assert (crown_of(edges[1:]) / crown_of(edges[:-1])).max() < 1.45
-    assert module._height_classes(lambda h: np.full_like(h, 3.0)).size == 2
+    assert module._height_classes(lambda h: np.full_like(h, 3.0), TREE_HEIGHT_M).size == 2
 
 
 def test_room_is_the_mean_distance_to_three_neighbours():
@@ -207,7 +208,7 @@ def test_kootenay_inventory(shared_data):
     canopy = Canopy(str(shared_data / "forest" / "kootenay_CHM_025m.tif"))
     x, y, found_m = trees_of(canopy, canopy.crs)
     found = np.column_stack([x, y])
-    tall = height_m >= LEAST_HEIGHT_M
+    tall = height_m >= TREE_HEIGHT_M
     missed = cKDTree(found).query(inventory[tall])[0] > 1.5
     extra = cKDTree(inventory).query(found)[0] > 1.5
     assert missed.sum() <= 0.04 * tall.sum()

@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 
 from terrain.errors import LevelError, SourceError
 from terrain.trees import forest as module
+from terrain.trees.crown_sizes import CROWN_SPREAD
 from terrain.trees.foliage import TREE_VARIANTS
-from terrain.trees.forest import CROWN_SPREAD, Site, plant_trees
+from terrain.trees.forest import Site, plant_trees
 from terrain.trees.scatter import LEAST_SPACING, join_places, keys, point_keys, scatter_trees, shares
 from terrain.trees.trees import Trees
 from tests.rasters import ENGINEERING
@@ -54,7 +55,7 @@ def vectors(tmp_path: Path):
 
 
 def planted(scene) -> Trees | None:
-    return plant_trees(scene.loaded, scene.world, scene.elevation)
+    return plant_trees(scene.loaded, scene.world, scene.elevation).trees
 
 
 def xyh(scene, trees: Trees) -> np.ndarray:
@@ -349,11 +350,11 @@ def test_a_level_without_a_forest_has_no_trees(hill, make_scene, vectors):
 @pytest.mark.parametrize(
     ("geometry", "spec", "message"),
     [
-        (shapely.box(0, 0, 50, 50), {}, r"level.yaml: forest.0.density: 'nothing' .*the source has polygons"),
+        (shapely.box(0, 0, 50, 50), {}, r"level.yaml: forest.0.density: missing; .*the source has polygons"),
         (shapely.Point(5, 5), {"density": 3}, r"forest.0.density: '3.0' .*each a tree"),
         (shapely.LineString([(0, 0), (9, 9)]), {"density": 3}, "stand.gpkg: 'lines'; needed: only polygons"),
         (shapely.GeometryCollection([shapely.Point(5, 5), shapely.box(0, 0, 9, 9)]), {"density": 3}, "both polygons and points"),
-        (shapely.Point(5, 5), {"height": "kind"}, "'kind = oak'; needed: numbers"),
+        (shapely.Point(5, 5), {"height": "kind"}, "'kind = oak at feature 1 of 1'; needed: numbers"),
         (shapely.Point(5, 5), {"height": "none"}, "no attribute 'none''; needed: one of kind, low"),
         (shapely.Point(5, 5), {"crown": "low"}, "stand.gpkg: 'low = -1 ...'; needed: metres from 0.1 to 150"),
         (shapely.Point(-5, 5), {}, r"'trees at 499995, 5200005, .*on the terrain, at 500000, 5200000, 502000, 5202000"),
@@ -385,6 +386,7 @@ def test_the_limit_is_on_all_stands_together(hill, make_scene, vectors, monkeypa
     ("spec", "value", "x", "message"),
     [
         ({"density": 4}, 9, X0, r"forest.0.density: '4.0' .*no density"),
+        ({"layer": "trees"}, 9, X0, r"forest.0.layer: 'trees' .*no layer"),
         ({"height": [4, 5]}, 9, X0, r"forest.0.height: .*no height: the source is a raster"),
         ({"crown": "w"}, 9, X0, r"forest.0.crown: 'w' .*a raster has no attributes"),
         ({}, 9, X0 + 5000, r"forest.0.source: 'trees at 50[45][^,]*, .*on the terrain, at 500000, 5200000"),

@@ -1,0 +1,42 @@
+"""Lengths as files write them: numbers with a unit, or without one."""
+
+from __future__ import annotations
+
+import re
+
+from terrain.ground.vertical import unit_of_word
+from terrain.level.parts import METRES_PER_UNIT
+
+FOOT_MARKS = ("'", "\N{PRIME}", "\N{RIGHT SINGLE QUOTATION MARK}")
+
+INCH_M = 0.0254
+
+_NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[+-]?\d+)?"
+_LENGTH = re.compile(rf"({_NUMBER})\s*([^\d\s.,+-][^\d]*?)?\.?")
+_FEET_INCHES = re.compile(rf"(\d+)\s*(?:'|\u2032|ft)\s*({_NUMBER})\s*(?:\"|\u2033|in)")
+
+
+def unit_m(word: str) -> float | None:
+    """Return the metres of a unit; ``None`` for a word that is none."""
+    unit = "ft" if word.strip() in FOOT_MARKS else unit_of_word(word)
+    return None if unit is None else METRES_PER_UNIT[unit]
+
+
+def length_m(text: str, usual_m: float = 1.0) -> float:
+    """Return metres of a text, as ``12``, ``12,5``, ``12 m``, ``40 ft`` or ``7'4"``.
+
+    Where it names no unit, it is in one of ``usual_m`` metres. Raises ``ValueError`` for a text that is no length.
+    """
+    written = text.strip().lower()
+    feet = _FEET_INCHES.fullmatch(written)
+    if feet is not None:
+        return float(feet[1]) * METRES_PER_UNIT["ft"] + _number(feet[2]) * INCH_M
+    length = _LENGTH.fullmatch(written)
+    per_unit = None if length is None else unit_m(length[2]) if length[2] else usual_m
+    if length is None or per_unit is None:
+        raise ValueError(text)
+    return _number(length[1]) * per_unit
+
+
+def _number(text: str) -> float:
+    return float(text.replace(",", "."))

@@ -1,0 +1,89 @@
+"""Triangles of blocks over polygons: roof, walls and floor, closed whatever the outline."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import mapbox_earcut
+import numpy as np
+
+from terrain.meshes.roofs import Roof
+
+
+def block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Roof, walls and floor of a block (m, 3) over n corners, and which triangles are roof.
+
+    Vertices [0, n) are the roof's, [n, 2 n) the floor's. Rings keep the building on their left.
+    """
+    count = int(ring_ends[-1])
+    here, following = np.arange(count), _following(ring_ends)
+    walls = np.concatenate([
+        np.column_stack([here + count, following + count, following]), np.column_stack([here + count, following, here])
+    ])  # fmt: skip
+    triangles = np.concatenate([roof, walls, roof[:, ::-1] + count]).astype(np.int32)
+    return triangles, np.arange(len(triangles)) < len(roof)
+
+
+def sloped_triangles(roof: Roof) -> tuple[np.ndarray, np.ndarray]:
+    """The same of a block under a roof with slopes, whose ridge are the vertices after the floor's."""
+    block, _ = block_triangles(np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.array([4]))
+    slopes = np.where(roof.triangles >= 4, roof.triangles + 4, roof.triangles).astype(np.int32)
+    triangles = np.concatenate([slopes, block[2:]])
+    return triangles, np.arange(len(triangles)) < roof.covered
+
+
+def roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
+    """Counter-clockwise triangles (m, 3) of a polygon's corners (n, 2). Every edge of every ring is the edge of one triangle."""
+    clipped = mapbox_earcut.triangulate_float64(np.ascontiguousarray(xy), ring_ends.astype(np.uint32)).reshape(-1, 3)
+    triangles = _facing_up(clipped.astype(np.int32), xy)
+    # Ear clipping skips corners that come to lie on a straight line on the way: without them roof and wall would part.
+    missing = len(xy) + 2 * (len(ring_ends) - 1) - 2 - len(triangles)  # n + 2 h - 2 triangles of n corners and h holes
+    return triangles if missing <= 0 else _with_skipped(triangles, xy, ring_ends, missing)
+
+
+def _with_skipped(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray, missing: int) -> np.ndarray:
+    """The triangles with those cut in two, up to a number, that have a corner of the polygon between the ends of an edge."""
+    from scipy.spatial import cKDTree
+
+    rings = set(zip(range(len(xy)), _following(ring_ends).tolist(), strict=True))
+    corners, near = triangles.tolist(), cKDTree(xy)
+    edges = {edge: k for k, (i, j, l) in enumerate(corners) for edge in ((i, j), (j, l), (l, i))}
+    waiting = deque(edges)
+    while waiting and missing:
+        a, b = waiting.popleft()
+        if (a, b) not in edges or (b, a) in edges or (a, b) in rings:
+            continue
+        k = edges[a, b]
+        c = next(corner for corner in corners[k] if corner not in (a, b))
+        along = xy[b] - xy[a]
+        around = np.array(sorted(near.query_ball_point((xy[a] + xy[b]) / 2, 0.5 * np.hypot(*along) * (1 + 1e-9))))
+        off = xy[around] - xy[a]
+        share = off @ along / (along @ along)
+        aside = np.abs(along[0] * off[:, 1] - along[1] * off[:, 0]) / (along @ along)
+        between = around[(aside < 1e-9) & (share > 1e-9) & (share < 1 - 1e-9) & (around != c)].tolist()
+        if not between:
+            continue
+        middle, new = between[0], len(corners)
+        del edges[a, b]
+        corners[k] = [a, middle, c]
+        corners.append([middle, b, c])
+        edges |= {(a, middle): k, (middle, c): k, (c, a): k, (middle, b): new, (b, c): new, (c, middle): new}
+        waiting += [(a, middle), (middle, b)]
+        missing -= 1
+    return np.array(corners, np.int32)
+
+
+def _following(ring_ends: np.ndarray) -> np.ndarray:
+    """The index (n,) of the corner after each corner of its ring."""
+    following = np.arange(1, int(ring_ends[-1]) + 1)
+    following[ring_ends - 1] = np.concatenate([[0], ring_ends[:-1]])
+    return following
+
+
+def _facing_up(triangles: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """Triangles with an area, counter-clockwise."""
+    a, b, c = np.moveaxis(xy[triangles], 1, 0)
+    twice = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    turned = np.where(twice[:, None] < 0, triangles[:, ::-1], triangles)
+    longest = np.max([np.einsum("ij,ij->i", side, side) for side in (b - a, c - b, a - c)], axis=0)
+    return turned[np.abs(twice) > 1e-12 * longest]

@@ -1,0 +1,60 @@
+"""Names of clocks: what is understood, what is answered with the nearest spelling, and days that a calendar leaves out."""
+
+from __future__ import annotations
+
+from datetime import UTC, date, datetime, timedelta
+from zoneinfo import ZoneInfo
+
+import pytest
+
+from terrain.errors import InputError
+from terrain.geo.clock import clock_named, day_ends, has_day
+
+APIA = ZoneInfo("Pacific/Apia")
+
+
+@pytest.mark.parametrize(
+    ("name", "hours"),
+    [
+        ("+02:00", 2.0), ("+2", 2.0), ("+0200", 2.0), ("UTC+2", 2.0), ("GMT+2", 2.0), ("utc-03:30", -3.5), ("UTC 2", 2.0),
+        (" 02:00", 2.0), ("+5:45", 5.75), ("+545", 5.75), ("+1030", 10.5), ("\N{MINUS SIGN}3", -3.0), ("UTC + 9", 9.0),
+    ],
+)  # fmt: skip
+def test_clock_named_understands_offsets(name, hours):
+    assert clock_named("clock", name).utcoffset(None) == timedelta(hours=hours)
+
+
+@pytest.mark.parametrize(
+    ("name", "zone"),
+    [("europe/oslo", "Europe/Oslo"), ("AMERICA/New York", "America/New_York"), ("gmt", "GMT"), (" Asia/Kolkata ", "Asia/Kolkata")],
+)
+def test_clock_named_finds_zones_of_either_case(name, zone):
+    assert str(clock_named("clock", name)) == zone
+
+
+def test_zones_of_opposite_sign_stay_zones():
+    """POSIX counts west of Greenwich: ``Etc/GMT+2`` lies two hours behind, ``GMT+2`` ahead."""
+    moment = datetime(2024, 1, 1, tzinfo=UTC)
+    assert moment.astimezone(clock_named("clock", "Etc/GMT+2")).utcoffset() == timedelta(hours=-2)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("Oslo", r"Europe/Oslo \(perhaps Europe/Oslo\)"), ("Europe/Olso", r"\(perhaps Europe/Oslo"), ("kolkata", "Asia/Kolkata"),
+        ("new york", "America/New_York"), ("", r"clock: '' .*solar, utc, an offset as \+02:00"), ("  ", "solar, utc"),
+        ("+24:00", "solar, utc"), ("+05:75", "solar, utc"), ("CEST", "Europe/Oslo$"), ("../etc", "Europe/Oslo$"),
+    ],
+)  # fmt: skip
+def test_what_is_no_clock_is_answered_in_one_line(name, said):
+    with pytest.raises(InputError, match=said) as caught:
+        clock_named("clock", name)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_day_that_samoa_left_out_has_no_ends():
+    assert not has_day(date(2011, 12, 30), APIA)
+    with pytest.raises(InputError, match="to: '2011-12-30' is not allowed; allowed: a day of Pacific/Apia, whose clocks went over"):
+        day_ends(date(2011, 12, 30), APIA, "to")
+    (_, last), (first, _) = (day_ends(date(2011, 12, day), APIA) for day in (29, 31))
+    assert last.astimezone(UTC) == first.astimezone(UTC) == datetime(2011, 12, 30, 10, tzinfo=UTC)

@@ -1,0 +1,165 @@
+"""Attributes of footprints: names and units that files use, floors above the ground, and what is said of them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import shapely
+from shapely import affinity
+
+from shadows.point.horizon import sun_reaches, surroundings
+from shadows.point.place import place_at
+from terrain.errors import LevelError, SourceError
+from terrain.level.level import load_level
+from terrain.meshes.assemble import place_meshes
+from terrain.meshes.buildings import FOOTING_M
+from terrain.scene import build_scene
+from tests.rasters import ENGINEERING
+from tests.terrain.meshes.test_buildings import written
+
+ROW = [shapely.box(30 * k, 0, 30 * k + 20, 10) for k in range(4)]
+"""On a floor at height 0."""
+
+
+def stand(tmp_path, geometry, mesh=None, **attributes):
+    """The placement of footprints on a flat floor, and the heights (n, 2) of their floors and roofs."""
+    source = written(tmp_path / "b.gpkg", geometry, crs=ENGINEERING, **attributes)
+    return placed(tmp_path, source, **(mesh or {}))
+
+
+def placed(tmp_path, source, **mesh):
+    scene = scene_of(tmp_path, source, **mesh)
+    placement = place_meshes(scene.loaded, scene.world, scene.elevation)
+    up = [body.origin_earth_m[2] + body.body.vertices_m[:, 2] for body in placement.seen]
+    return placement, np.array([(each.min(), each.max()) for each in up])
+
+
+def scene_of(tmp_path, source, **mesh):
+    path = tmp_path / "level.yaml"
+    terrain = {"flat": {"size": [400, 400], "cells": [40, 40]}}
+    sun = {"azimuth": 180, "altitude": 45}
+    text = {"version": 1, "terrain": terrain, "sun": sun, "meshes": [{"source": str(source), **mesh}]}
+    path.write_text(json.dumps(text), encoding="utf-8")
+    return build_scene(load_level(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "top_m"),
+    [
+        ("Height", 8.0, 8.0), ("HEIGHT_M", 8.0, 8.0), ("building:height", 8.0, 8.0), ("Building_Height", 8.0, 8.0),
+        ("height", "8", 8.0), ("height", "8,5 m", 8.5), ("Height", "40 ft", 12.192), ("height_ft", 10.0, 3.048),
+        ("height_ft", "10,5", 3.2004), ("height_ft", "10 m", 10.0), ("building:levels", 4, 12.0), ("building_levels", "2.5", 7.5),
+        ("num_floors", 3, 9.0),
+    ],
+)  # fmt: skip
+def test_usual_attributes_are_found_and_their_units_read(tmp_path, name, value, top_m):
+    _, up = stand(tmp_path, ROW[:1], **{name: [value]})
+    np.testing.assert_allclose(up, [[-FOOTING_M, top_m]], atol=1e-6)
+
+
+def test_a_height_goes_before_storeys_and_storeys_fill_gaps(tmp_path):
+    """A null among numbers, a 0 and a text say nothing of a height; the fourth has neither."""
+    values = {"height": np.array([7.0, np.nan, 0.0, np.nan]), "building:levels": np.array([9, 2, 3, 0], np.int32)}
+    placement, up = stand(tmp_path, ROW, **values)
+    assert up[:, 1].tolist() == [7.0, 6.0, 9.0]
+    assert placement.notes[0].endswith("b.gpkg: heights: 1 of 4 footprints by the attribute 'height'")
+    assert placement.notes[1].endswith("heights: 2 of 4 footprints by the attribute 'building:levels' (3 m a storey)")
+    assert placement.notes[2].endswith("1 footprints left out: without a height") and placement.warnings == ()
+
+
+def test_a_text_that_is_no_length_is_named_and_passed_over(tmp_path):
+    values = np.array(["7 m", "tall", None, "12-15"], object)
+    placement, up = stand(tmp_path, ROW, height=values)
+    assert up[:, 1].tolist() == [7.0]
+    (warning,) = placement.warnings
+    assert "b.gpkg: height = tall at feature 2 of 4, which is no length: it is passed over, and 1 more" in warning
+
+
+def test_a_named_attribute_is_found_in_either_case_and_alone(tmp_path):
+    _, up = stand(tmp_path, ROW[:2], mesh={"height": "eaves"}, Eaves=[5.0, np.nan], height=[9.0, 9.0])
+    assert up[:, 1].tolist() == [5.0]
+    _, up = stand(tmp_path, ROW[:1], mesh={"height": "building:levels"}, **{"building:levels": [2]})
+    assert up[:, 1].tolist() == [6.0]
+    with pytest.raises(SourceError, match="no attribute 'ridge''; needed: one of Eaves"):
+        stand(tmp_path, ROW[:1], mesh={"height": "ridge"}, Eaves=[5.0])
+
+
+def test_without_any_height_the_message_says_what_is_missing(tmp_path):
+    with pytest.raises(
+        LevelError, match=r"meshes\.0\.height: missing; allowed: metres, or an attribute of .*\(colour\); or surface"
+    ):
+        stand(tmp_path, ROW[:1], colour=["red"])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "base_m"),
+    [("min_height", 5.0, 5.0), ("Min_Height", "5 m", 5.0), ("base_height", 5, 5.0), ("building:min_level", 2, 6.0)],
+)
+def test_what_begins_above_the_ground_is_a_closed_block_there(tmp_path, name, value, base_m):
+    placement, up = stand(
+        tmp_path, ROW[:2], height=[9.0, 9.0], **{name: np.array([value, None], object) if isinstance(value, str) else [value, 0]}
+    )
+    np.testing.assert_allclose(up, [[base_m, 9.0], [-FOOTING_M, 9.0]], atol=1e-6)
+    raised = placement.seen[0].body
+    assert raised.closed and raised.volume_m3 == pytest.approx(200.0 * (9.0 - base_m))
+    assert any(f"begin above the ground: 1 of 2 footprints by the attribute '{name}'" in note for note in placement.notes)
+
+
+def test_a_bridge_lets_the_sun_through_below(tmp_path):
+    """A deck 4 m wide, 10 m to 11 m high, under a sun at 45 degrees in the south: its shadow lies 10 m to 15 m north of its
+    southern edge. Standing on the ground it would begin at the edge.
+    """
+    deck = shapely.box(-100, 0, 100, 4)
+    shadow = {}
+    for name, values in (("raised", {"height": [11.0], "min_height": [10.0]}), ("standing", {"height": [11.0]})):
+        scene = scene_of(tmp_path, written(tmp_path / f"{name}.gpkg", [deck], crs=ENGINEERING, **values))
+        north_m = np.arange(-1.75, 17.0, 0.5)
+        lit = [
+            sun_reaches(surroundings(scene, place_at(scene, (0.0, float(y)))), np.array([180.0]), np.array([45.0]))[0]
+            for y in north_m
+        ]
+        shadow[name] = north_m[~np.array(lit)]
+    assert (shadow["raised"].min(), shadow["raised"].max(), len(shadow["raised"])) == (10.25, 14.75, 10)
+    assert shadow["standing"].max() == 14.75 and len(shadow["standing"]) >= 22
+
+
+def test_a_pitched_roof_of_a_raised_house_leaves_it_walls(tmp_path):
+    house = affinity.translate(shapely.box(0, 0, 8, 10), 0, 0)
+    placement, up = stand(tmp_path, [house], mesh={"roof": "pitched"}, height=[9.0], min_height=[6.0])
+    np.testing.assert_allclose(up, [[6.0, 9.0]], atol=1e-6)
+    eaves = np.unique(np.round(placement.seen[0].origin_earth_m[2] + placement.seen[0].body.vertices_m[:, 2], 6))
+    assert placement.seen[0].body.closed and len(eaves) == 3 and eaves[1] > 6.0 + 0.5 * 3.0
+
+
+def test_a_floor_above_its_roof_is_left_out_and_named(tmp_path):
+    placement, up = stand(tmp_path, ROW, height=[9.0, 4.0, 9.0, 9.0], min_height=[0.0, 4.0, 3.0, 6.0])
+    np.testing.assert_allclose(up, [[-FOOTING_M, 9.0], [3.0, 9.0], [6.0, 9.0]], atol=1e-6)
+    (warning,) = placement.warnings
+    assert warning.endswith("b.gpkg: feature 2 of 4: left out, the floor is not below the roof")
+
+
+def test_floors_that_count_from_the_sea_are_passed_over(tmp_path):
+    placement, up = stand(tmp_path, ROW, height=[9.0, 12.0, 60.0, 8.0], base_height=[52.0, 52.5, 53.0, np.nan])
+    np.testing.assert_allclose(up, [[-FOOTING_M, top] for top in (9.0, 12.0, 60.0, 8.0)], atol=1e-6)
+    (warning,) = placement.warnings
+    assert "2 of 3 floors are not below their roofs, as that of feature 1 of 4: heights of floors are passed over" in warning
+
+
+def test_footprints_in_a_second_layer_are_found(tmp_path):
+    import pyogrio
+
+    path = written(tmp_path / "town.gpkg", [shapely.Point(3, 3)], crs=ENGINEERING)
+    for name, values in (("parcels", {}), ("houses", {"height": [6.0]})):
+        pyogrio.raw.write(
+            path, shapely.to_wkb(np.array(ROW[:1], object)), [np.array(v) for v in values.values()], list(values), crs=ENGINEERING,
+            geometry_type="Polygon", layer=name, append=True,
+        )  # fmt: skip
+    placement, up = placed(tmp_path, path)
+    assert up[:, 1].tolist() == [6.0]
+    assert any("layer 'houses', and not parcels; layer: names another one" in note for note in placement.notes)
+    _, up = placed(tmp_path, path, layer="parcels", height=4)
+    assert up[:, 1].tolist() == [4.0]
+    with pytest.raises(SourceError, match="no layer 'roofs''; needed: one of town, parcels, houses"):
+        placed(tmp_path, path, layer="roofs")

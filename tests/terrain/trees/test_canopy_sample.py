@@ -1,0 +1,173 @@
+"""What canopies say of themselves: units, low and absurd cells, heights above the sea, and what was planted of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rasterio
+
+from shadows.point.horizon import sun_reaches, surroundings
+from shadows.point.place import place_at
+from terrain.errors import LevelError, SourceError
+from terrain.trees import forest as module
+from terrain.trees.canopy_sample import cells_of, check_above_ground
+from terrain.trees.forest import plant_trees
+from tests.terrain.trees.test_forest import UTM, X0, Y0, hill, plane, vectors, xyh  # noqa: F401
+
+
+@pytest.fixture
+def planting(hill, make_scene, write_raster):  # noqa: F811
+    """``planting(heights, cell_m, unit)``: what comes of a canopy in the corner of a slope from 200 m to 400 m."""
+
+    def plant(heights: np.ndarray, cell_m: float = 1.0, unit: str | None = None, **keys):
+        source = write_raster(heights.astype(np.float32), UTM, X0 + 500, Y0 - 500, cell_m, name="canopy.tif")
+        if unit is not None:
+            with rasterio.open(source, "r+") as dataset:
+                dataset.units = [unit]
+        scene = make_scene(hill, forest=[{"source": str(source), "species": "conifer", **keys}])
+        return plant_trees(scene.loaded, scene.world, scene.elevation)
+
+    return plant
+
+
+def tops(value: float) -> np.ndarray:
+    """Nine single cells of a height in 10,000 cells."""
+    heights = np.zeros((100, 100))
+    heights[20:80:25, 20:80:25] = value
+    return heights
+
+
+def test_shares_of_cells_are_counted():
+    cells = cells_of(np.array([np.nan, 0.0, -3.0, 0.49, 0.5, 1.99, 2.0, 150.0, 150.1, 9000.0]))
+    assert (cells.unknown, cells.bare, cells.low, cells.tall, cells.absurd) == pytest.approx((0.1, 0.3, 0.2, 0.2, 0.2))
+    assert cells.left_out(2.0) == (
+        "30 % lower than 0.5 m, 20 % of 0.5 m to 2 m (least_height takes them), 10 % without a height, 20 % higher than 150 m"
+    )
+    assert cells.left_out(0.5) == "30 % lower than 0.5 m, 10 % without a height, 20 % higher than 150 m"
+
+
+@pytest.mark.parametrize(("unit", "value"), [("dm", 80.0), ("cm", 800.0), ("decimetre", 80.0), ("m", 8.0), ("ft", 8.0 / 0.3048)])
+def test_heights_are_in_the_unit_of_the_band(planting, unit, value):
+    found = planting(tops(value), unit=unit)
+    np.testing.assert_allclose(found.trees.height_m, np.full(9, 8.0), rtol=1e-6)
+    assert found.warnings == ()
+    (note,) = found.notes
+    assert note.endswith("canopy.tif: 9 trees planted; left out: of its cells 99.9 % lower than 0.5 m")
+
+
+def test_a_unit_that_is_none_is_refused(planting):
+    with pytest.raises(SourceError, match="canopy.tif: 'unit furlong of its band'; needed: one of .*dm"):
+        planting(tops(8.0), unit="furlong")
+
+
+def test_a_canopy_that_plants_nothing_says_why(planting):
+    found = planting(tops(250.0))  # decimetres without a unit
+    assert found.trees is None and len(found.warnings) == 2
+    assert "more of its cells are higher than 150 m than are trees: is the unit of its heights right?" in found.warnings[0]
+    assert found.warnings[1].endswith(
+        "canopy.tif: no tree is planted: of its cells 99.9 % lower than 0.5 m, 0.09 % higher than 150 m"
+    )
+    empty = planting(np.zeros((20, 20)))
+    assert empty.trees is None and empty.warnings[0].endswith("no tree is planted: of its cells 100 % lower than 0.5 m")
+
+
+@pytest.mark.parametrize("height_m", [0.6, 1.0, 1.8])
+def test_hedges_and_vines_are_planted(planting, height_m):
+    """Rows 1 m wide and 5 m apart."""
+    rows = np.zeros((100, 100))
+    rows[::5] = height_m
+    found = planting(rows)
+    assert 300 < len(found.trees.rank) < 3000
+    np.testing.assert_allclose(found.trees.height_m, height_m, rtol=1e-6)
+    assert found.notes[0].endswith("left out: of its cells 80 % lower than 0.5 m")
+
+
+def test_a_hedge_throws_its_shadow(hill, make_scene, write_raster):  # noqa: F811
+    """1.8 m high and 2 m wide, under a sun in the south at 30 degrees: shade fills most of what is near, and ends 3.1 m
+    (1.8 m / tan 30 degrees) north of it.
+    """
+    heights = np.zeros((60, 60))
+    heights[30:32] = 1.8
+    source = write_raster(heights.astype(np.float32), UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif")
+    scene = make_scene(hill, forest=[{"source": str(source)}])
+    shaded = {}
+    for north_m in (0.5, 4.0):
+        places = [(X0 + 500 + east, Y0 - 530 + north_m) for east in np.arange(10.0, 50.0, 0.5)]
+        lit = [
+            sun_reaches(surroundings(scene, place_at(scene, place, scene.elevation.crs)), np.array([180.0]), np.array([30.0]))[0]
+            for place in places
+        ]
+        shaded[north_m] = 1.0 - np.mean(lit)
+    assert shaded[0.5] > 0.6 and shaded[4.0] == 0.0
+
+
+def test_undergrowth_is_left_out_unless_the_level_asks_for_it(planting):
+    wood = np.zeros((100, 100))
+    wood[:, :40] = 1.2
+    wood[::3, 40::3] = 15.0
+    wood[:, 40:] = np.maximum(wood[:, 40:], 3.0)
+    usual, asked = planting(wood), planting(wood, least_height=1.0)
+    assert usual.trees.height_m.min() >= 2.0 and usual.notes[0].endswith(
+        "of its cells 40 % of 0.5 m to 2 m (least_height takes them)"
+    )
+    assert asked.trees.height_m.min() == pytest.approx(1.2) and len(asked.trees.rank) > len(usual.trees.rank) + 1000
+    assert planting(wood, least_height=10.0).trees.height_m.min() == 15.0
+
+
+def test_shrubs_of_coarse_cells_and_too_many_are_left_out(planting, monkeypatch):
+    scrub = np.full((40, 40), 1.0)
+    assert (
+        planting(scrub, cell_m=10.0)
+        .warnings[0]
+        .endswith("no tree is planted: of its cells 100 % of 0.5 m to 2 m (least_height takes them)")
+    )
+    assert len(planting(scrub).trees.rank) > 500
+    monkeypatch.setattr(module, "MAX_SHRUBS", 100)
+    assert planting(scrub).trees is None
+
+
+def test_heights_above_the_sea_are_refused(planting):
+    """The surface over crowns of up to 25 m, on a slope of 0.1 in x and 0.05 in y."""
+    row, col = np.mgrid[0:100, 0:100]
+    ground = plane(X0 + 500 + col + 0.5, Y0 - 500 - row - 0.5)
+    crowns = np.random.default_rng(1).uniform(0.0, 25.0, ground.shape)
+    with pytest.raises(
+        SourceError, match=r"canopy.tif: 'heights above the sea: they lie 1 to 24 m above the terrain's own'; needed"
+    ):
+        planting(ground + crowns)
+    assert len(planting(crowns).trees.rank) > 500
+
+
+def test_heights_above_the_sea_are_told_from_tall_trees_on_low_ground():
+    rng = np.random.default_rng(2)
+    crowns = rng.uniform(0.0, 25.0, 4000)
+    slope, flat = np.linspace(5.0, 40.0, 4000), np.full(4000, 40.0)
+    for ground in (slope, flat):
+        with pytest.raises(SourceError, match="heights above the sea"):
+            check_above_ground("canopy.tif", ground + crowns, ground)
+    for heights, ground in ((crowns, slope / 10), (crowns + 5.0, np.full(4000, 5.0)), (crowns, flat), (flat, slope)):
+        check_above_ground("canopy.tif", heights, ground)
+    check_above_ground("canopy.tif", np.full(10, 45.0), np.full(10, 40.0))  # too few to tell
+
+
+def test_an_exaggerated_terrain_changes_nothing_of_that(hill, make_scene, write_raster):  # noqa: F811
+    row, col = np.mgrid[0:100, 0:100]
+    surface = plane(X0 + 500 + col + 0.5, Y0 - 500 - row - 0.5) + 10.0 * np.random.default_rng(1).random((100, 100))
+    source = write_raster(surface.astype(np.float32), UTM, X0 + 500, Y0 - 500, 1, name="canopy.tif")
+    scene = make_scene(hill, terrain={"exaggeration": 2.0}, forest=[{"source": str(source)}])
+    with pytest.raises(SourceError, match="heights above the sea"):
+        plant_trees(scene.loaded, scene.world, scene.elevation)
+
+
+def test_stands_say_what_became_of_their_points(hill, make_scene, vectors):  # noqa: F811
+    import shapely
+
+    points = shapely.points([[5, 5], [15, 5], [25, 5], [-50, 5]])
+    source = vectors(list(points), Height=np.array(["12 m", "40 ft", None, "9"], object))
+    scene = make_scene(hill, forest=[{"source": source}])
+    found = plant_trees(scene.loaded, scene.world, scene.elevation)
+    assert sorted(found.trees.height_m.tolist()) == pytest.approx([12.0, 12.192])
+    assert found.notes[-1].endswith("stand.gpkg: 2 trees planted; left out: 1 without a usable height or crown")
+    with pytest.raises(LevelError, match=r"forest\.0\.least_height: '3.0' .*no raster of canopy heights"):
+        scene = make_scene(hill, forest=[{"source": source, "least_height": 3}])
+        plant_trees(scene.loaded, scene.world, scene.elevation)
