@@ -127,7 +127,7 @@ MAY_IMPORT = {
     "api.library": "catalogue device_calibration film_span layers point raster_file shade sun_hours",
     "api.animations": "errors film_files settings workers",
     "api.matrices": "errors workers",
-    "api.seed": "device_calibration errors file_stamps layers matrices settings workers",
+    "api.seed": "catalogue device_calibration errors file_stamps layers matrices settings workers",
     "api.http": (
         "animations color_scale errors file_stamps film_span layers matrices point settings shadow_parameters sun_hours_layer "
         "workers"
