@@ -34,6 +34,9 @@ Bounds = tuple[float, float, float, float]
 SQUARE = 1e-6
 """How far a raster's cells may be from square, as a share."""
 
+MAX_RESOLUTION = 1e8
+"""Units of a CRS: in metres, more than twice round the earth."""
+
 MOST_CELLS = 2.0**40
 """Of a raster that is written."""
 
@@ -49,9 +52,9 @@ def raster_view(
     else square ones of a ``resolution`` (default: the raster's) whose sides lie on multiples of it. Raises ``InputError``.
     """
     if like is not None:
-        for name, value in (("--bounds", bounds), ("--crs", crs), ("--resolution", resolution)):
+        for name, value in (("bounds", bounds), ("crs", crs), ("resolution", resolution)):
             if value is not None:
-                raise InputError(name, value, f"nothing beside --like: the cells are those of {like}")
+                raise InputError(name, value, f"nothing beside like: the cells are those of {like}")
         return _like(cells_of_raster(like) if isinstance(like, Path) else like)
     asked = scene.view("map", bounds, crs)  # checks what was asked
     target = asked.grid.crs if isinstance(asked, MapView) else scene.map_crs
@@ -63,8 +66,12 @@ def raster_view(
     if resolution is None:
         cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
         resolution = float(f"{cell_m / step_at_anchor_m(scene.world, Grid(target, 0.0, 0.0, 1.0)):.3g}")
-    if not resolution > 0.0 or (east - west) / resolution * (north - south) / resolution > MOST_CELLS:
-        raise InputError("--resolution", resolution, f"more than 0 units of {target.name}, and fewer than 2^40 cells in all")
+    if not 0.0 < resolution <= MAX_RESOLUTION or (east - west) / resolution * (north - south) / resolution > MOST_CELLS:
+        raise InputError(
+            "resolution",
+            resolution,
+            f"more than 0 units of {target.name}, at most {MAX_RESOLUTION:g}, and fewer than 2^40 cells in all",
+        )
     col0, row0 = np.floor(west / resolution + 1e-9), np.floor(-north / resolution + 1e-9)
     cols, rows = np.ceil(east / resolution - 1e-9) - col0, np.ceil(-south / resolution - 1e-9) - row0
     grid = Grid(target, resolution / 2.0, -resolution / 2.0, resolution)
