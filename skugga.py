@@ -22,22 +22,20 @@ from api.library.register_accessor import register_accessor
 from terrain.level.gdal_guard import cap_caches
 
 if TYPE_CHECKING:
-    from api.library.arrays import shadow
+    from api.library.arrays import horizon, shadow, sunlit
     from api.library.arrays import sun_hours_of_array as sun_hours
     from api.library.opened_level import OpenLevel, open_heights, open_level
-    from shadows.sweep.grid import sunlit
-    from shadows.sweep.horizon import horizon_deg as horizon
     from terrain.errors import SkuggaError
 else:
     _SOURCES = {
         "OpenLevel": ("api.library.opened_level", "OpenLevel"),
         "SkuggaError": ("terrain.errors", "SkuggaError"),
-        "horizon": ("shadows.sweep.horizon", "horizon_deg"),
+        "horizon": ("api.library.arrays", "horizon"),
         "open_heights": ("api.library.opened_level", "open_heights"),
         "open_level": ("api.library.opened_level", "open_level"),
         "shadow": ("api.library.arrays", "shadow"),
         "sun_hours": ("api.library.arrays", "sun_hours_of_array"),
-        "sunlit": ("shadows.sweep.grid", "sunlit"),
+        "sunlit": ("api.library.arrays", "sunlit"),
     }
 
     def __getattr__(name: str) -> object:

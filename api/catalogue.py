@@ -15,6 +15,10 @@ ARCHIVE_SUFFIX = ".pmtiles"
 """Of archives of tiles, which are served as they are."""
 
 
+MAX_PATH_CHARACTERS = 4096
+"""Linux opens no longer paths."""
+
+
 def bundled_levels() -> list[Path]:
     """Paths of the bundled level files, by name."""
     return sorted(LEVELS_FOLDER.glob("*.yaml"))
@@ -22,6 +26,8 @@ def bundled_levels() -> list[Path]:
 
 def find_level(name: str) -> Path:
     """The file of a bundled level's name or of a path. Raises ``InputError``."""
+    if len(name) > MAX_PATH_CHARACTERS:
+        raise InputError("LEVEL", name, "a level file or a raster, or a bundled level's name")
     bundled = LEVELS_FOLDER / f"{name}.yaml"
     if Path(name).name == name and bundled.is_file():
         return bundled

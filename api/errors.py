@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from terrain.errors import (
+    ArrayError,
     BusyError,
     GraphicsError,
     InputError,
@@ -122,6 +123,7 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     InputError: Outcome(422, WRONG_INPUT, "invalid_parameter"),
     LevelError: Outcome(500, WRONG_INPUT, "level", "The level's file is wrong; the service's log says what."),
     SourceError: Outcome(500, WRONG_INPUT, "source", "The level's raster cannot be read; the service's log says why."),
+    ArrayError: Outcome(422, WRONG_INPUT, "array"),
     ArchiveError: Outcome(500, WRONG_INPUT, "archive", "The archive of tiles cannot be read; the service's log says why."),
     UnsupportedError: Outcome(422, WRONG_INPUT, "unsupported"),
     TooLargeError: Outcome(413, WRONG_INPUT, "too_large"),

@@ -5,13 +5,15 @@ from __future__ import annotations
 import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import rasterio
 from affine import Affine
 from pyproj import CRS
+from rasterio.enums import ColorInterp
 from rasterio.errors import RasterioError
 from rasterio.io import DatasetWriter
 from rasterio.shutil import copy
@@ -33,6 +35,29 @@ class RasterCells:
     cols: int
 
 
+@dataclass(frozen=True, eq=False)
+class RasterNotes:
+    """What a raster says of itself: ``about`` it in a sentence, its bands' ``descriptions`` and ``unit``, and further ``tags``."""
+
+    about: str
+    descriptions: tuple[str, ...]
+    unit: str = ""
+    tags: dict[str, str] = field(default_factory=dict)
+
+    def write(self, dataset: DatasetWriter) -> None:
+        """Write them into a raster."""
+        dataset.update_tags(
+            TIFFTAG_SOFTWARE=f"Skugga {version('skugga')}", TIFFTAG_IMAGEDESCRIPTION=self.about,
+            **{name.upper(): text for name, text in self.tags.items() if text},
+        )  # fmt: skip
+        dataset.descriptions = self.descriptions
+        dataset.units = [self.unit] * dataset.count
+        dataset.colorinterp = RGBA if dataset.count == len(RGBA) else [ColorInterp.gray] * dataset.count
+
+
+RGBA = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
+
+
 class RasterFile:
     """A raster that is being written."""
 
@@ -47,7 +72,15 @@ class RasterFile:
 
 @contextmanager
 def cog(
-    path: Path, crs: CRS, transform: Affine, shape: tuple[int, int], bands: int, dtype: str, nodata: float | None, smooth: bool
+    path: Path,
+    crs: CRS,
+    transform: Affine,
+    shape: tuple[int, int],
+    bands: int,
+    dtype: str,
+    nodata: float | None,
+    smooth: bool,
+    notes: RasterNotes | None = None,
 ) -> Iterator[RasterFile]:
     """A COG to be written; ``smooth``: its overviews are means, else they repeat cells.
 
@@ -61,6 +94,8 @@ def cog(
             raw, "w", driver="GTiff", width=cols, height=rows, count=bands, dtype=dtype, crs=crs.to_wkt(), transform=transform,
             nodata=nodata, tiled=True, blockxsize=TILE, blockysize=TILE, compress="lzw", bigtiff="if_safer", sparse_ok=True,
         ) as dataset:  # fmt: skip
+            if notes is not None:
+                notes.write(dataset)
             yield RasterFile(dataset)
         try:
             copy(

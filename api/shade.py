@@ -19,12 +19,13 @@ from pyproj import CRS
 from rasterio.errors import RasterioError
 
 from api.device_calibration import calibration_for
-from api.raster_file import RasterCells, RasterFile, cog
+from api.raster_file import RasterCells, RasterFile, RasterNotes, cog
 from api.shade_layers import SHADE_LAYERS
 from selector.select import plan_of_view
 from terrain.errors import MISSING_VALUE, InputError, SourceError
 from terrain.gbuffer.bare_ground import forget_ground_before
 from terrain.geo.grid import Grid, MapView, blocks_of, step_at_anchor_m
+from terrain.level.level import spelt
 from terrain.level.parts import SunSpec
 from terrain.level.rasters import open_raster
 from terrain.scene import Scene
@@ -33,6 +34,9 @@ Bounds = tuple[float, float, float, float]
 
 SQUARE = 1e-6
 """How far a raster's cells may be from square, as a share."""
+
+MAX_RESOLUTION = 1e8
+"""Units of a CRS: in metres, more than twice round the earth."""
 
 MOST_CELLS = 2.0**40
 """Of a raster that is written."""
@@ -49,9 +53,9 @@ def raster_view(
     else square ones of a ``resolution`` (default: the raster's) whose sides lie on multiples of it. Raises ``InputError``.
     """
     if like is not None:
-        for name, value in (("--bounds", bounds), ("--crs", crs), ("--resolution", resolution)):
+        for name, value in (("bounds", bounds), ("crs", crs), ("resolution", resolution)):
             if value is not None:
-                raise InputError(name, value, f"nothing beside --like: the cells are those of {like}")
+                raise InputError(name, value, f"nothing beside like: the cells are those of {like}")
         return _like(cells_of_raster(like) if isinstance(like, Path) else like)
     asked = scene.view("map", bounds, crs)  # checks what was asked
     target = asked.grid.crs if isinstance(asked, MapView) else scene.map_crs
@@ -63,8 +67,12 @@ def raster_view(
     if resolution is None:
         cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
         resolution = float(f"{cell_m / step_at_anchor_m(scene.world, Grid(target, 0.0, 0.0, 1.0)):.3g}")
-    if not resolution > 0.0 or (east - west) / resolution * (north - south) / resolution > MOST_CELLS:
-        raise InputError("--resolution", resolution, f"more than 0 units of {target.name}, and fewer than 2^40 cells in all")
+    if not 0.0 < resolution <= MAX_RESOLUTION or (east - west) / resolution * (north - south) / resolution > MOST_CELLS:
+        raise InputError(
+            "resolution",
+            resolution,
+            f"more than 0 units of {target.name}, at most {MAX_RESOLUTION:g}, and fewer than 2^40 cells in all",
+        )
     col0, row0 = np.floor(west / resolution + 1e-9), np.floor(-north / resolution + 1e-9)
     cols, rows = np.ceil(east / resolution - 1e-9) - col0, np.ceil(-south / resolution - 1e-9) - row0
     grid = Grid(target, resolution / 2.0, -resolution / 2.0, resolution)
@@ -171,17 +179,36 @@ def write_shade(
     """
     total, blocks = shaded_blocks(scene, view, layer, suns, overrides)
     made, transform = SHADE_LAYERS[layer], transform_of(view)
+    notes = [shade_notes(scene.with_sun(sun), layer, overrides) for sun in suns]
     with ExitStack() as stack:
         files: list[RasterFile] = [
             stack.enter_context(
-                cog(path, view.grid.crs, transform, (view.rows, view.cols), made.bands, made.dtype, made.nodata, made.smooth)
+                cog(path, view.grid.crs, transform, (view.rows, view.cols), made.bands, made.dtype, made.nodata, made.smooth, note)
             )
-            for path in paths
+            for path, note in zip(paths, notes, strict=True)
         ]
         for done, block in enumerate(blocks, start=1):
             files[block.sun].write(block.row, block.col, block.array)
             if on_block is not None:
                 on_block(done, total)
+
+
+def shade_notes(scene: Scene, layer: str, overrides: dict[str, Any]) -> RasterNotes:
+    """What a raster of a layer says of itself: the layer, the level, the sun, and what was asked of shadows.
+
+    The sun's angles are those in the middle of the level.
+    """
+    made, sun = SHADE_LAYERS[layer], scene.sun
+    tags = {"layer": layer, "level": scene.loaded.name}
+    if sun is not None:
+        tags |= {
+            "time": "" if sun.time is None else sun.time.isoformat(),
+            "sun_azimuth_deg": f"{sun.azimuth_deg:.4f}", "sun_altitude_deg": f"{sun.altitude_deg:.4f}",
+        }  # fmt: skip
+    asked = {name: value for name, value in overrides.items() if value is not None}
+    algorithm = asked.pop("algorithm", scene.loaded.level.shadows.algorithm)
+    tags |= {"algorithm": spelt(algorithm), **{f"shadows_{name}": str(value) for name, value in asked.items()}}
+    return RasterNotes(f"{layer}: {made.about}", made.band_names, "1" if layer in ("visibility", "cosi") else "", tags)
 
 
 def shade_array(scene: Scene, view: MapView, layer: str, sun: SunSpec | None, overrides: dict[str, Any]) -> np.ndarray:

@@ -30,6 +30,11 @@ class ShadeLayer:
     nodata: float | None = float("nan")
     smooth: bool = True
 
+    @property
+    def band_names(self) -> tuple[str, ...]:
+        """What each band is."""
+        return (self.about,) if self.bands == 1 else ("red", "green", "blue", "alpha")
+
 
 def _visibility(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
     from shadows.render import render_frame

@@ -10,16 +10,16 @@ import numpy as np
 
 from api.contour_lines import write_contours
 from api.device_calibration import calibration_for
-from api.raster_file import cog
+from api.raster_file import RasterNotes, cog
 from api.shade import transform_of
-from api.sun_quantities import QUANTITIES
+from api.sun_quantities import QUANTITIES, QUANTITY_NOTES
 from selector.select import plan_of_view
 from shadows.plan import Plan
 from shadows.sun_hours.sun_hours import SunRules, ground_extent, sun_hours
 from shadows.sun_hours.suns import window_suns
 from terrain.errors import InputError
 from terrain.gbuffer.covered_nodes import WIDE_M, is_bare
-from terrain.geo.daily_windows import DailyWindow
+from terrain.geo.daily_windows import DailyWindow, clock_text
 from terrain.geo.grid import BLOCK_PX, MapView, blocks_of, step_at_anchor_m
 from terrain.scene import Scene
 
@@ -42,8 +42,10 @@ def write_sun_hours(
     paths: dict[str, Path],
     on_block: Callable[[int, int], None] | None = None,
     contours: tuple[Path, Sequence[float]] | None = None,
+    clock: str = "solar",
 ) -> None:
     """Write some quantities of a map's cells, by name, into a file each; and ``contours`` of the first, a file and values.
+    The files say what sun they count, and name the windows' ``clock``.
     ``on_block(done, total)`` is called after each block of each date. Raises ``SkuggaError`` and ``OSError``.
     """
     for name in paths:
@@ -55,7 +57,17 @@ def write_sun_hours(
     with ExitStack() as stack:
         files = {
             name: stack.enter_context(
-                cog(path, view.grid.crs, transform, shape, 1, "float32", float("nan"), smooth=name == "hours")
+                cog(
+                    path,
+                    view.grid.crs,
+                    transform,
+                    shape,
+                    1,
+                    "float32",
+                    float("nan"),
+                    name == "hours",
+                    sun_hours_notes(scene, name, windows, rules, clock),
+                )  # fmt: skip
             )
             for name, path in paths.items()
         }
@@ -77,6 +89,21 @@ def write_sun_hours(
         write_contours(next(iter(paths.values())), contours[1], contours[0])
     if on_block is not None:
         on_block(total, total)
+
+
+def sun_hours_notes(scene: Scene, quantity: str, windows: Sequence[DailyWindow], rules: SunRules, clock: str) -> RasterNotes:
+    """What a raster of a quantity says of itself: the level, the dates, the part of each day, and what counts as sun."""
+    about, unit = QUANTITY_NOTES[quantity]
+    first, last = windows[0], windows[-1]
+    tags = {
+        "quantity": quantity, "level": scene.loaded.name, "date": first.date.isoformat(),
+        "date_to": "" if len(windows) == 1 else last.date.isoformat(), "dates": str(len(windows)),
+        "window": f"{clock_text(first.clock_min)}-{clock_text(round(first.reading_min(first.minutes)))}", "clock": clock,
+        "step_min": "auto" if rules.step_min is None else f"{rules.step_min:g}",
+        "threshold_h": f"{rules.threshold_h:g}" if quantity == "days" else "",
+        "least_altitude_deg": f"{rules.least_altitude_deg:g}", "height_m": f"{rules.height_m:g}",
+    }  # fmt: skip
+    return RasterNotes(f"{quantity}: {about}", (about,), unit, tags)
 
 
 def sun_hours_array(scene: Scene, view: MapView, windows: Sequence[DailyWindow], rules: SunRules, quantity: str) -> np.ndarray:

@@ -18,3 +18,12 @@ QUANTITIES: dict[str, Callable[[SunHours], np.ndarray]] = {
     "days": lambda found: found.days,
 }
 """What a raster may hold, by name: float32, NaN where there is no surface (and of ``first`` and ``last`` no sun)."""
+
+QUANTITY_NOTES: dict[str, tuple[str, str]] = {
+    "hours": ("hours of direct sun, mean of the dates", "h"),
+    "first": ("first sun of any date, minutes from midnight by the clock", "min"),
+    "last": ("last sun of any date, minutes from midnight by the clock", "min"),
+    "longest": ("longest unbroken sun of any date", "h"),
+    "days": ("days with enough direct sun", "d"),
+}
+"""Quantity -> what its cells are, and their unit, as files say them."""

@@ -4,6 +4,7 @@ SkuggaError
 ├── InputError            what the caller gave is wrong: names the file or parameter, the value and what is allowed
 │   ├── LevelError        a level file
 │   ├── SourceError       a raster
+│   ├── ArrayError        an array, which is a ``ValueError``, too
 │   └── UnsupportedError  a combination that an algorithm, a CRS or a view cannot serve, with the reason
 ├── NotFoundError         an unknown level, tile matrix set, tile or view
 ├── BusyError             the render queue is full
@@ -76,6 +77,10 @@ class SourceError(InputError):
     def __init__(self, name: str, value: object, allowed: str) -> None:
         super().__init__(name, value, allowed)
         self.args = (printable(f"{name}: {_short(value)}; needed: {allowed}"),)
+
+
+class ArrayError(InputError, ValueError):
+    """An array in memory is no grid of heights."""
 
 
 class UnsupportedError(InputError):

@@ -124,7 +124,7 @@ MAY_IMPORT = {
     "api.map_probing": "",
     "api.file_stamps": "",
     "api.workers": "device_calibration errors layers map_probing point settings sun_hours_layer",
-    "api.library": "catalogue device_calibration film_span layers point raster_file shade sun_hours",
+    "api.library": "catalogue device_calibration film_span layers point raster_file shade shade_layers sun_hours",
     "api.animations": "errors film_files settings workers",
     "api.matrices": "errors workers",
     "api.seed": "catalogue device_calibration errors file_stamps layers matrices settings workers",

@@ -8,6 +8,7 @@ from rich import box
 from rich.table import Table
 
 from api.cli.all_views import cells_of, facts_of
+from api.cli.tables import named_table
 from api.cli.times import duration_of
 from api.device_calibration import calibration
 from api.file_stamps import file_stamps, level_version, watched_files
@@ -64,7 +65,7 @@ def _kept(version: str, found: MapProbes) -> str:
 
 def table_of_scales(plans: list[tuple[int, Plan]]) -> Table:
     """The plans as a table, finest pixels first: choice, what is expected of it, and whether it meets the target."""
-    table = Table("pixels", "choice", box=box.SIMPLE_HEAD)
+    table = named_table("pixels", "choice", box=box.SIMPLE_HEAD)
     for name in ("time", "error"):
         table.add_column(name, justify="right")
     table.add_column("target")

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from api.cli.planning import PlannedView, asking, plan_scene_view, unpinned
 from api.cli.snapshot import scene_and_view
+from api.cli.tables import named_table
 from api.report.plan_text import POLICIES, format_expectation, format_sun, format_view_and_sun
 from selector.formatting import format_duration, format_percent
 from selector.pin import PIN_COMMENT, PINS, pin, pins
@@ -72,7 +73,7 @@ def pin_all(choices: Sequence[PlannedView]) -> str:
 
 def table_of(choices: Sequence[PlannedView]) -> Table:
     """The choices as a table: view, sun, choice, what is expected of it, and whether it meets the target."""
-    table = Table("view", "sun", "choice", box=box.SIMPLE_HEAD)
+    table = named_table("view", "sun", "choice", box=box.SIMPLE_HEAD)
     for name in ("time", "error"):
         table.add_column(name, justify="right")
     table.add_column("target")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -16,6 +15,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from api.cli.outputs import check_targets
+from api.cli.tables import wide_console
 from api.cli.warnings import say_warnings
 from api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
 from api.point.polar_picture import sky_picture
@@ -34,9 +34,6 @@ from terrain.scene import Scene, build_scene
 from terrain.whole_files import write_whole
 
 PICTURE_SUFFIXES = {".svg": "svg", ".png": "png"}
-
-FILE_COLUMNS = 200
-"""Width of tables that go into a file or a pipe."""
 
 _LIT, _DARK, _NIGHT = "lit", "in shadow", "night"
 
@@ -92,7 +89,8 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
     check_targets(level, [("--output", options.output), ("--picture", options.picture)])
     query, crs = _query(options, *_pair(options.at or "")), _crs(options.crs)
     need(POINTS)
-    scene = build_scene(load_level(level)).with_sun(options.sun)
+    loaded = load_level(level)
+    scene = build_scene(loaded).with_sun(options.sun)
     say_warnings(scene)
     try:
         around = around_point(scene, query, crs)
@@ -109,7 +107,8 @@ def report_point(level: LevelSource, options: PointOptions) -> None:
     elif options.as_json:
         typer.echo(report.model_dump_json(indent=2))
     else:
-        _show(report)
+        is_asked = options.sun is not None or (options.date is None and loaded.level.sun is not None)
+        _show(report, with_now=is_asked)
 
 
 def report_points(level: LevelSource, file: Path, options: PointOptions) -> None:
@@ -185,16 +184,16 @@ def _picture(around: Surroundings, query: PointQuery, file: Path) -> bytes:
     return sky_picture(around, horizon_round(around), day, clock, format, title)
 
 
-def _show(report: PointReport) -> None:
-    """The report as tables."""
+def _show(report: PointReport, with_now: bool) -> None:
+    """The report as tables; ``with_now``: also the sun at a moment, which somebody chose."""
     from rich.table import Table
 
-    console = _console()
+    console = wide_console()
     where = "" if report.lon is None else f"{report.lon:.6f}, {report.lat:.6f}; "
     above = f", {report.height_m:g} m above it" if report.height_m else ""
     assert report.elevation_m is not None  # off the data there is an error, and no report
     console.print(f"{report.level}: {where}ground {report.elevation_m:.1f} m{above}")
-    if report.now is not None:
+    if report.now is not None and with_now:
         when = "under the level's own sun: " if report.now.time is None else f"{report.now.time.isoformat()}: "
         sun = f"sun at azimuth {report.now.azimuth:.1f}, altitude {report.now.altitude:.1f} degrees"
         console.print(f"{when}{_state(report.now.lit, report.now.altitude, report.now.by)} ({sun})")
@@ -241,14 +240,7 @@ def _show_rows(points: list[TrackPoint], rows: list[PointAnswerRow]) -> None:
             f"{point.lon_deg:.6f}", f"{point.lat_deg:.6f}", "" if point.time is None else point.time.isoformat(),
             "" if row.elevation_m is None else f"{row.elevation_m:.1f}", sun, "" if row.direct_h is None else f"{row.direct_h:.2f}",
         )  # fmt: skip
-    _console().print(table)
-
-
-def _console() -> Any:
-    """A console that does not break lines which no terminal does."""
-    from rich.console import Console
-
-    return Console(highlight=False, width=None if sys.stdout.isatty() else FILE_COLUMNS)
+    wide_console().print(table)
 
 
 def _state(lit: bool, altitude: float, by: ReportedCaster | None) -> str:

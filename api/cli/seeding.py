@@ -12,10 +12,10 @@ from typing import IO, TYPE_CHECKING, Any
 import typer
 from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from api.cli.outputs import check_targets
 from api.cli.progress import LinesOverBar
+from api.cli.tables import named_table
 from api.cli.times import TIME_WORD, paths_by_time, suns_of
 from api.matrices import ZoomRange
 from api.seed.drawing import check_seeded_format
@@ -168,7 +168,7 @@ def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: Seed
     if options.as_json:
         typer.echo(json.dumps({"rows": rows, "total": total, "workers": workers, "states": counts}, indent=2))
         return
-    shown = Table("sun", "zoom", "why", box=box.SIMPLE_HEAD)
+    shown = named_table("sun", "zoom", "why", box=box.SIMPLE_HEAD)
     for name in ("tasks", "worker time", "bytes"):
         shown.add_column(name, justify="right")
     for row in rows:

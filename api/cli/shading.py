@@ -8,7 +8,7 @@ from typing import Any
 
 from api.cli.outputs import check_targets
 from api.cli.times import paths_by_time
-from api.cli.warnings import say_own_sun, say_warnings
+from api.cli.warnings import say_own_sun, say_warnings, say_written
 from api.raster_file import RasterCells
 from api.shade import Bounds, raster_view, write_shade
 from api.shade_layers import SHADE_LAYERS
@@ -43,14 +43,17 @@ def shade_level(
     paths = files_of(output, suns)
     check_targets(level, [("--output", path) for path in paths], like if isinstance(like, Path) else None)
     need(MASKS if layer == "mask" else PICTURES)
-    scene = build_scene(load_level(level))
+    loaded = load_level(level)
+    scene = build_scene(loaded)
     if not is_bare(scene):
         need(MAPS_OF_CASTERS)
     say_warnings(scene)
-    if None in suns:
-        say_own_sun(scene)
     try:
-        write_shade(scene, raster_view(scene, bounds, crs, resolution, like), layer, suns, paths, overrides, on_block)
+        view = raster_view(scene, bounds, crs, resolution, like)
+        if None in suns:
+            say_own_sun(scene, is_invented=loaded.level.sun is None)
+        write_shade(scene, view, layer, suns, paths, overrides, on_block)
+        say_written(paths, f"{layer}, {SHADE_LAYERS[layer].about}", view)
     finally:
         scene.close()
     return paths

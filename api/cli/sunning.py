@@ -9,10 +9,10 @@ from pathlib import Path
 from api.cli.outputs import check_targets
 from api.cli.shading import SUFFIXES
 from api.cli.times import duration_of
-from api.cli.warnings import say_warnings
+from api.cli.warnings import say_warnings, say_written
 from api.shade import Bounds, raster_view
 from api.sun_hours import write_sun_hours
-from api.sun_quantities import QUANTITIES
+from api.sun_quantities import QUANTITIES, QUANTITY_NOTES
 from shadows.sun_hours.sun_hours import SunRules
 from terrain.compiling.ahead import SUN_HOURS
 from terrain.compiling.hooks import need
@@ -54,7 +54,10 @@ def write_sun_level(
     say_warnings(scene)
     try:
         windows = windows_asked(scene.world, first, last, every.days, readings, known_clock)
-        write_sun_hours(scene, raster_view(scene, *where), windows, rules, {quantity: output}, on_block, lines)
+        view = raster_view(scene, *where)
+        write_sun_hours(scene, view, windows, rules, {quantity: output}, on_block, lines, clock)
+        about, unit = QUANTITY_NOTES[quantity]
+        say_written([output], f"{about} ({unit})", view)
     finally:
         scene.close()
 

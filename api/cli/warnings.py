@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from pathlib import Path
 
 import typer
 
 from terrain.errors import printable
+from terrain.geo.grid import MapView
 from terrain.scene import Scene
 
 
@@ -17,10 +20,20 @@ def say_warnings(scene: Scene, with_objects: bool = True) -> None:
         typer.echo(printable(f"skugga: warning: {text}"), err=True)
 
 
-def say_own_sun(scene: Scene) -> None:
-    """On a terminal, which sun is taken where none was asked for: a picture does not show that nobody chose it."""
-    if sys.stderr.isatty():
+def say_own_sun(scene: Scene, is_invented: bool = False) -> None:
+    """Which sun is taken where none was asked for, on a terminal: a picture does not show that nobody chose it. Everywhere, where
+    nobody did: the level names none, either.
+    """
+    if is_invented or sys.stderr.isatty():
         from api.report.plan_text import format_sun
 
         said = f"{scene.loaded.name} is drawn with its own light, {format_sun(scene.sun)}; --time says another"
+        typer.echo(printable(f"skugga: {said}"), err=True)
+
+
+def say_written(paths: Sequence[Path], what: str, view: MapView) -> None:
+    """On a terminal, what was written, one line for all files."""
+    if sys.stderr.isatty():
+        names = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files, {paths[0]} to {paths[-1].name}"
+        said = f"wrote {names}: {what}, {view.cols} x {view.rows} cells, {view.grid.crs.name}"
         typer.echo(printable(f"skugga: {said}"), err=True)

@@ -6,7 +6,6 @@ temporary raster, and each chunk of the answer is made from there, with casters 
 
 from __future__ import annotations
 
-import datetime
 import shutil
 import tempfile
 import threading
@@ -17,13 +16,14 @@ from typing import Any
 
 import numpy as np
 import rasterio
-import rioxarray  # noqa: F401  # registers ``da.rio``
 import xarray
-from affine import Affine
 from rasterio.enums import Resampling
 from rasterio.windows import Window
 
-from api.library.opened_level import OpenLevel, Time, open_heights, open_level
+from api.library.checked import AltitudeDeg, AzimuthDeg, Date, Time, checked
+from api.library.grids import grid_of_heights
+from api.library.opened_level import OpenLevel, open_level
+from api.library.upright_grid import UprightGrid, upright_grid
 from api.raster_file import TILE
 from shadows.registry import ALGORITHMS
 from terrain.errors import InputError
@@ -40,96 +40,85 @@ WITHOUT_OPENGL = next(
 
 
 class SkuggaAccessor:
-    """Questions of sun to heights (y, x), metres, with a CRS by ``rio.write_crs``."""
+    """Questions of sun to heights (y, x), metres, with a CRS by ``rio.write_crs``.
+
+    There is no ground where heights are NaN, masked, or the array's nodata (``rio.nodata``). Its attributes ``scale_factor``,
+    ``add_offset`` and ``units`` are heeded as those of a file. Rows and columns may run either way.
+    """
 
     def __init__(self, array: xarray.DataArray) -> None:
         self._array = array
 
+    @checked
     def shadow(
-        self, time: Time | None = None, azimuth: float | None = None, altitude: float | None = None, **shadows: Any
+        self,
+        time: Time | None = None,
+        azimuth: AzimuthDeg | None = None,
+        altitude: AltitudeDeg | None = None,
+        **shadows: Any,
     ) -> xarray.DataArray:
         """Where there is shadow, cast or the ground's own: bool, False where there is no ground.
 
         The sun is that of a ``time`` (with an offset from UTC, or datetime64 in UTC), or of ``azimuth`` (clockwise from north) and
-        ``altitude``, degrees. Raises ``SkuggaError``, and ``ValueError`` for arrays that are no grid of heights.
+        ``altitude``, degrees. Raises ``SkuggaError``, also for arrays that are no grid of heights.
         """
         if time is None and azimuth is None and altitude is None:
             raise InputError("time", None, "a time, or an azimuth and an altitude")
 
-        def made(level: OpenLevel, **where: Any) -> np.ndarray:
-            asked = {**({"algorithm": WITHOUT_OPENGL} if where else {}), **shadows}
-            visibility = level.shade("visibility", time=time, azimuth=azimuth, altitude=altitude, **where, **asked)
+        def made(level: OpenLevel, **cells: Any) -> np.ndarray:
+            asked = {**({"algorithm": WITHOUT_OPENGL} if cells else {}), **shadows}
+            visibility = level.shade("visibility", time=time, azimuth=azimuth, altitude=altitude, **cells, **asked)
             return visibility < 0.5  # NaN, where there is no ground, is not
 
         return self._answer("shadow", made, np.bool_)
 
-    def sun_hours(self, date: datetime.date | str, **rules: Any) -> xarray.DataArray:
+    @checked
+    def sun_hours(self, date: Date, **rules: Any) -> xarray.DataArray:
         """How long the sun is seen: float32, NaN where there is no ground. ``rules`` are ``to``, ``window``, ``clock``,
         ``quantity`` and others of ``OpenLevel.sun_hours``. Raises as ``shadow``.
         """
 
-        def made(level: OpenLevel, **where: Any) -> np.ndarray:
-            return level.sun_hours(date, **where, **rules)
+        def made(level: OpenLevel, **cells: Any) -> np.ndarray:
+            return level.sun_hours(date, **cells, **rules)
 
         return self._answer("sun_hours", made, np.float32)
 
+    @checked
     def horizon(self, x: float, y: float, height: float = 0.0) -> xarray.DataArray:
         """The horizon of a point, ``height`` metres above the ground, in the array's own coordinates: elevation angles, degrees, by
         ``azimuth``, degrees clockwise from true north. Raises as ``shadow``; an array of dask is read at once.
         """
-        upright = _upright(self._array)
-        with open_heights(upright.to_numpy(), upright.rio.transform(recalc=True), _crs(upright)) as level:
+        with upright_grid(self._array).level() as level:
             found = level.horizon(x, y, height=height, crs=level.crs)
         return xarray.DataArray(found.elevation_deg, dims="azimuth", coords={"azimuth": found.azimuth_deg}, name="horizon")
 
     def _answer(self, name: str, made: Callable[..., np.ndarray], dtype: type) -> xarray.DataArray:
         """A DataArray like the heights of what is made of an open level."""
-        upright = _upright(self._array)
-        if upright.chunks is None:
-            with open_heights(upright.to_numpy(), upright.rio.transform(recalc=True), _crs(upright)) as level:
+        grid = upright_grid(self._array)
+        if grid.heights.chunks is None:
+            with grid.level() as level:
                 values: Any = made(level)
         else:
-            values = _by_chunk(upright, made, dtype)
-        answer = xarray.DataArray(values, dims=upright.dims, coords=upright.coords, name=name)
-        y = upright.rio.y_dim
-        return answer.isel({y: slice(None, None, -1)}) if _is_flipped(self._array) else answer
-
-
-def _upright(array: xarray.DataArray) -> xarray.DataArray:
-    """Heights as (y, x), the northern row first. Raises ``ValueError``."""
-    if array.ndim != 2:
-        raise ValueError(f"the array has the dimensions {array.dims}; it must have two, y and x")
-    array = array.transpose(array.rio.y_dim, array.rio.x_dim)
-    return array.isel({array.rio.y_dim: slice(None, None, -1)}) if _is_flipped(array) else array
-
-
-def _is_flipped(array: xarray.DataArray) -> bool:
-    y = array[array.rio.y_dim].to_numpy()
-    return bool(y.size > 1 and y[0] < y[-1])
-
-
-def _crs(array: xarray.DataArray) -> str:
-    if array.rio.crs is None:
-        raise InputError("crs", None, "an array with a CRS: da.rio.write_crs(...)")
-    return str(array.rio.crs.to_wkt())
+            values = _by_chunk(grid, made, dtype)
+        answer = xarray.DataArray(values, dims=grid.heights.dims, coords=grid.heights.coords, name=name)
+        return answer.isel(grid.flips).rio.write_grid_mapping(self._array.rio.grid_mapping)
 
 
 class _Staged:
     """A temporary raster that chunks are written to, and read from once all are there."""
 
-    def __init__(self, array: xarray.DataArray) -> None:
+    def __init__(self, grid: UprightGrid) -> None:
         folder = tempfile.mkdtemp(prefix="skugga-")
         self._gone = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self.path = Path(folder) / "heights.tif"
         self._lock, self._levels = threading.Lock(), threading.local()
-        self.transform: Affine = array.rio.transform(recalc=True)
-        rows, cols = array.shape
-        self._nodata = array.rio.nodata
+        rows, cols = grid.heights.shape
         self._dataset = rasterio.open(
             self.path, "w", driver="GTiff", height=rows, width=cols, count=1, dtype="float32", nodata=float("nan"),
-            crs=_crs(array), transform=self.transform, tiled=True, blockxsize=TILE, blockysize=TILE, compress="lzw",
+            crs=grid.crs.to_wkt(), transform=grid.transform, tiled=True, blockxsize=TILE, blockysize=TILE, compress="lzw",
             bigtiff="if_safer", sparse_ok=True,
         )  # fmt: skip
+        self._dataset.units = (grid.unit,)
 
     def __setitem__(self, where: tuple[slice, slice], chunk: np.ndarray) -> None:
         rows, cols = where
@@ -137,7 +126,7 @@ class _Staged:
         with self._lock:
             if self._dataset.closed:  # the answer is computed once more
                 return
-            self._dataset.write(np.asarray(chunk, np.float32), 1, window=window)
+            self._dataset.write(grid_of_heights(chunk), 1, window=window)
 
     def finished(self, *_: Any) -> _Staged:
         """Itself, once all is written."""
@@ -157,20 +146,18 @@ class _Staged:
         return opened
 
 
-def _by_chunk(array: xarray.DataArray, made: Callable[..., np.ndarray], dtype: type) -> Any:
+def _by_chunk(grid: UprightGrid, made: Callable[..., np.ndarray], dtype: type) -> Any:
     import dask.array
     from dask.delayed import delayed
 
-    staged = _Staged(array)
-    stored = dask.array.store(array.data, staged, lock=False, compute=False)  # type: ignore[arg-type]
+    staged = _Staged(grid)
+    stored = dask.array.store(grid.heights.data, staged, lock=False, compute=False)  # type: ignore[arg-type]
     ready = delayed(staged.finished)(stored)
 
     def chunk(ready: _Staged, block_info: Any = None) -> np.ndarray:
         (top, bottom), (left, right) = block_info[None]["array-location"]
-        at = ready.transform
-        bounds = at.c + at.a * left, at.f + at.e * bottom, at.c + at.a * right, at.f + at.e * top
-        return made(ready.level(), bounds=bounds).astype(dtype)
+        return made(ready.level(), cells=(slice(top, bottom), slice(left, right))).astype(dtype)
 
     return dask.array.map_blocks(  # type: ignore[no-untyped-call]
-        chunk, ready=ready, chunks=array.chunks, dtype=dtype, meta=np.empty((0, 0), dtype)
+        chunk, ready=ready, chunks=grid.heights.chunks, dtype=dtype, meta=np.empty((0, 0), dtype)
     )

@@ -3,26 +3,49 @@
 from __future__ import annotations
 
 import datetime
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
-from typing import Any
+from typing import Any, cast
 from urllib.parse import urlencode
 
 import numpy as np
 from affine import Affine
 from pyproj import CRS
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from api.catalogue import find_level
 from api.device_calibration import calibration_for
 from api.film_span import USUAL_FPS, film_span
 from api.layers import PASS_LAYERS, frame_layer
+from api.library.checked import (
+    AltitudeDeg,
+    AnyCrs,
+    AzimuthDeg,
+    Bounds,
+    Cells,
+    Date,
+    Days,
+    HeightM,
+    LeastAltitudeDeg,
+    Resolution,
+    Size,
+    StepMinutes,
+    ThresholdHours,
+    Time,
+    Transform,
+    checked,
+)
+from api.library.grids import Heights
+from api.library.memory import check_memory
 from api.library.tile_service import TileService
 from api.point.report import around_point, point_report
 from api.point.values import PointQuery, PointReport
-from api.shade import Bounds, raster_view, shade_array, transform_of
+from api.shade import raster_view, shade_array, transform_of
+from api.shade_layers import SHADE_LAYERS
 from api.sun_hours import sun_hours_array
 from selector.film import film_frames, frame_moments
 from selector.film_request import FilmRequest
@@ -31,26 +54,37 @@ from selector.select import plan_of_view
 from shadows.point.horizon import PointHorizon, horizon_round
 from shadows.render import render_frame
 from shadows.sun_hours.sun_hours import SunRules
-from terrain.geo.clock import clock_named, date_of
+from terrain.errors import Fault, InputError
+from terrain.geo.clock import clock_named
 from terrain.geo.daily_windows import readings_of, windows_asked
+from terrain.geo.grid import MapView
 from terrain.level.camera_file import load_camera_path
 from terrain.level.level import load_level, parse_sun
 from terrain.level.level_source import LevelSource, direction_named, units_named
 from terrain.level.parts import SunSpec
 from terrain.scene import Scene, build_scene
 
-Time = datetime.datetime | np.datetime64 | str
+ARRAY = "the array"
+"""Name of a raster in memory in messages."""
+
+SMALLER_PART = "a part, as cells=np.s_[:4096, :4096]; or a file: `skugga shade` and `skugga sunhours` write rasters of any size"
 
 
 class OpenLevel:
     """A level's scene; its arrays have row 0 in the north. To be closed, or used by ``with``; not to be shared between threads."""
 
     def __init__(self, scene: Scene, held: MemoryFile | None = None) -> None:
-        self._scene = scene
+        self._open: Scene | None = scene
         self._held = held
         self._own = raster_view(scene)
         self._served: TileService | None = None
         self._folder: TemporaryDirectory[str] | None = None
+
+    @property
+    def _scene(self) -> Scene:
+        if self._open is None:
+            raise InputError("level", Fault("it is closed"), "a level that is open")
+        return self._open
 
     @property
     def name(self) -> str:
@@ -82,17 +116,18 @@ class OpenLevel:
         """Rows and columns of its own grid."""
         return self._own.rows, self._own.cols
 
+    @checked
     def render(
         self,
         view: str = "map",
         layer: str = "color",
         *,
         time: Time | None = None,
-        azimuth: float | None = None,
-        altitude: float | None = None,
-        size: tuple[int, int] | None = None,
+        azimuth: AzimuthDeg | None = None,
+        altitude: AltitudeDeg | None = None,
+        size: Size | None = None,
         bounds: Bounds | None = None,
-        crs: str | None = None,
+        crs: AnyCrs | None = None,
         seconds: float | None = None,
         style: str | None = None,
         slope_exaggeration: float | None = None,
@@ -107,12 +142,13 @@ class OpenLevel:
         ``algorithm="shadow_volume"``. Raises ``SkuggaError``.
         """
         scene = self._scene.with_sun(_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration).at_second(seconds)
-        seen = scene.view(view, bounds, crs, size)
+        seen = scene.view(view, bounds, _named(crs), size)
         device = calibration_for(scene.loaded.level.shadows, shadows)
         plan = plan_of_view(scene, seen, view, shadows, device=device)
         kept = frozenset(pass_layer for pass_layer in PASS_LAYERS if pass_layer == layer)
         return frame_layer(scene, render_frame(scene, seen, plan, None, kept), layer)
 
+    @checked
     def film(
         self,
         view: str = "map",
@@ -123,11 +159,11 @@ class OpenLevel:
         path: Path | None = None,
         fps: float = USUAL_FPS,
         time: Time | None = None,
-        azimuth: float | None = None,
-        altitude: float | None = None,
-        size: tuple[int, int] | None = None,
+        azimuth: AzimuthDeg | None = None,
+        altitude: AltitudeDeg | None = None,
+        size: Size | None = None,
         bounds: Bounds | None = None,
-        crs: str | None = None,
+        crs: AnyCrs | None = None,
         seconds: float | None = None,
         style: str | None = None,
         slope_exaggeration: float | None = None,
@@ -143,51 +179,58 @@ class OpenLevel:
         way = None if path is None else load_camera_path(path)
         span = film_span(_iso(start), _iso(end), step, fps, way, seconds)
         scene = self._scene.with_sun(_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration)
-        request = FilmRequest(span, view, way, size, bounds, crs, shadows)
+        request = FilmRequest(span, view, way, size, bounds, _named(crs), shadows)
         moments = frame_moments(scene, request)
         replanner = Replanner(device=calibration_for(scene.loaded.level.shadows, shadows))
         return (frame.color for frame in film_frames(scene, request, moments, replanner))
 
+    @checked
     def shade(
         self,
         layer: str = "mask",
         *,
         time: Time | None = None,
-        azimuth: float | None = None,
-        altitude: float | None = None,
+        azimuth: AzimuthDeg | None = None,
+        altitude: AltitudeDeg | None = None,
         bounds: Bounds | None = None,
-        crs: str | None = None,
-        resolution: float | None = None,
+        crs: AnyCrs | None = None,
+        resolution: Resolution | None = None,
         like: Path | None = None,
+        cells: Cells | None = None,
         **shadows: Any,
     ) -> np.ndarray:
         """A raster of shade on the level's own cells, those of ``like``, or square ones of a ``resolution`` in ``crs``.
 
         It is one of ``api.shade_layers.SHADE_LAYERS``: (rows, cols), or (rows, cols, 4) of ``color`` and ``shadow``. The sun is as
-        in ``render``.
+        in ``render``. ``cells`` are rows and columns of the level's own (``shape``), as ``np.s_[:512, 512:1024]``.
 
-        Raises ``SkuggaError``.
+        Raises ``SkuggaError``, also for arrays that do not fit into memory.
         """
-        view = raster_view(self._scene, bounds, crs, resolution, like)
+        if layer not in SHADE_LAYERS:
+            raise InputError("layer", layer, ", ".join(SHADE_LAYERS))
+        made = SHADE_LAYERS[layer]
+        view = self._view(bounds, crs, resolution, like, cells, np.dtype(made.dtype).itemsize * made.bands)
         return shade_array(self._scene, view, layer, _sun(time, azimuth, altitude), shadows)
 
+    @checked
     def sun_hours(
         self,
-        date: datetime.date | str,
+        date: Date,
         *,
-        to: datetime.date | str | None = None,
-        every_days: int = 1,
+        to: Date | None = None,
+        every_days: Days = 1,
         window: str = "00:00-24:00",
         clock: str = "solar",
         quantity: str = "hours",
-        step_min: float | None = None,
-        threshold_h: float = 2.0,
-        least_altitude: float = 0.0,
-        height: float = 0.0,
+        step_min: StepMinutes | None = None,
+        threshold_h: ThresholdHours = 2.0,
+        least_altitude: LeastAltitudeDeg = 0.0,
+        height: HeightM = 0.0,
         bounds: Bounds | None = None,
-        crs: str | None = None,
-        resolution: float | None = None,
+        crs: AnyCrs | None = None,
+        resolution: Resolution | None = None,
         like: Path | None = None,
+        cells: Cells | None = None,
     ) -> np.ndarray:
         """How long the sun is seen, float32 (rows, cols), NaN where there is no surface: ``hours`` (the mean of the dates),
         ``first`` or ``last`` sun (minutes from midnight by the clock), the ``longest`` spell (hours) or the number of ``days``
@@ -198,46 +241,49 @@ class OpenLevel:
         the sun is looked for every ``step_min`` minutes (``None``: as often as hours need to be right on that ground), and
         crossings in between are found. Cells are as in ``shade``. Raises ``SkuggaError``.
         """
-        first = _day("date", date)
-        last = first if to is None else _day("to", to)
+        first = cast(datetime.date, date)
+        last = first if to is None else cast(datetime.date, to)
         windows = windows_asked(self._scene.world, first, last, every_days, readings_of(window), clock_named("clock", clock))
         rules = SunRules(step_min, threshold_h, least_altitude, height)
-        return sun_hours_array(self._scene, raster_view(self._scene, bounds, crs, resolution, like), windows, rules, quantity)
+        view = self._view(bounds, crs, resolution, like, cells, np.dtype(np.float32).itemsize)
+        return sun_hours_array(self._scene, view, windows, rules, quantity)
 
+    @checked
     def point(
         self,
         lon: float,
         lat: float,
         *,
         time: Time | None = None,
-        date: datetime.date | str | None = None,
+        date: Date | None = None,
         clock: str | None = None,
         height: float = 0.0,
         year: int | None = None,
-        crs: Any = None,
+        crs: AnyCrs | None = None,
     ) -> PointReport:
         """The sun at a point, ``height`` metres above the ground: now (``time``), on a day, and on each day of a year. With a
         ``crs``, as pyproj takes it, ``lon`` and ``lat`` are x and y of it. Raises ``SkuggaError``.
         """
         scene = self._scene.with_sun(_sun(time, None, None))
-        day = None if date is None else _day("date", date)
-        query = PointQuery(lon=lon, lat=lat, height=height, date=day, clock=clock, year=year)
-        return point_report(scene, query, None if crs is None else CRS.from_user_input(crs))
+        query = PointQuery(lon=lon, lat=lat, height=height, date=cast("datetime.date | None", date), clock=clock, year=year)
+        return point_report(scene, query, crs)
 
-    def horizon(self, lon: float, lat: float, *, height: float = 0.0, crs: Any = None) -> PointHorizon:
+    @checked
+    def horizon(self, lon: float, lat: float, *, height: float = 0.0, crs: AnyCrs | None = None) -> PointHorizon:
         """The horizon of a point in 720 directions, by ground, buildings and trees: ``azimuth_deg`` clockwise from true north, and
         ``elevation_deg``. The point is as in ``point``. Raises ``SkuggaError``.
         """
         query = PointQuery(lon=lon, lat=lat, height=height)
-        return horizon_round(around_point(self._scene, query, None if crs is None else CRS.from_user_input(crs)))
+        return horizon_round(around_point(self._scene, query, crs))
 
+    @checked
     def as_leaflet_layer(
         self,
         layer: str = "color",
         *,
         time: Time | None = None,
-        azimuth: float | None = None,
-        altitude: float | None = None,
+        azimuth: AzimuthDeg | None = None,
+        altitude: AltitudeDeg | None = None,
         **shadows: Any,
     ) -> Any:
         """The level as a layer of an ipyleaflet map, served by a process on this machine: ``map.add(level)`` calls it.
@@ -256,6 +302,29 @@ class OpenLevel:
             min_zoom=said["minzoom"], max_native_zoom=said["maxzoom"],
         )  # fmt: skip
 
+    def _view(
+        self,
+        bounds: Bounds | None,
+        crs: CRS | None,
+        resolution: float | None,
+        like: Path | None,
+        cells: tuple[slice, slice] | None,
+        bytes_a_cell: int,
+    ) -> MapView:
+        """The cells of an array that fits into memory."""
+        if cells is None:
+            view = raster_view(self._scene, bounds, _named(crs), resolution, like)
+        else:
+            for name, value in (("bounds", bounds), ("crs", crs), ("resolution", resolution), ("like", like)):
+                if value is not None:
+                    raise InputError(name, value, "nothing beside cells: they are the level's own")
+            (top, bottom, _), (left, right, _) = (part.indices(count) for part, count in zip(cells, self.shape, strict=True))
+            if top >= bottom or left >= right:
+                raise InputError("cells", cells, f"rows and columns of the level's own {self.shape[0]} x {self.shape[1]}")
+            view = self._own.part(top, left, bottom - top, right - left)
+        check_memory("cells" if resolution is None else "resolution", view.rows, view.cols, bytes_a_cell, SMALLER_PART)
+        return view
+
     def _service(self) -> TileService:
         if self._served is None:
             path = self.path
@@ -272,7 +341,9 @@ class OpenLevel:
             self._served.close()
         if self._folder is not None:
             self._folder.cleanup()
-        self._scene.close()
+        if self._open is not None:
+            self._open.close()
+            self._open = None
         if self._held is not None:
             self._held.close()
 
@@ -283,6 +354,7 @@ class OpenLevel:
         self.close()
 
 
+@checked
 def open_level(
     source: str | Path,
     *,
@@ -301,25 +373,42 @@ def open_level(
     return OpenLevel(build_scene(load_level(level)))
 
 
-def open_heights(height_m: np.ndarray, transform: Affine, crs: Any) -> OpenLevel:
-    """Open an array of heights (rows, cols), metres, NaN where there is no ground, as a level: its geotransform, and its CRS as
-    pyproj takes it. Raises ``SkuggaError``, and ``ValueError`` for heights that are no grid.
+@checked
+def open_heights(height_m: Heights, transform: Transform, crs: AnyCrs) -> OpenLevel:
+    """Open an array of heights (rows, cols), metres, as a level: its geotransform, and its CRS as pyproj takes it.
+
+    There is no ground where the array is masked, not finite, or beyond a million. Raises ``SkuggaError``.
     """
-    height_m = np.asarray(height_m, np.float32)
-    if height_m.ndim != 2:
-        raise ValueError(f"height_m has the shape {height_m.shape}; it must be (rows, cols)")
-    held = MemoryFile(ext=".tif")
+    return level_of_heights(cast(np.ndarray, height_m), transform, crs)
+
+
+def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS, unit: str = "") -> OpenLevel:
+    """Open a grid of heights (``grid_of_heights``) in a ``unit``, as files call it, as a level. Raises ``InputError``."""
+    held = MemoryFile(filename="heights.tif")
     try:
-        with held.open(
-            driver="GTiff", height=height_m.shape[0], width=height_m.shape[1], count=1, dtype="float32", nodata=float("nan"),
-            crs=CRS.from_user_input(crs).to_wkt(), transform=transform,
-        ) as dataset:  # fmt: skip
-            dataset.write(height_m, 1)
-        metres = LevelSource(path=Path(held.name), units="m", positive="up")  # whatever the vertical axis of the CRS says
-        return OpenLevel(build_scene(load_level(metres)), held)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused with a sentence
+            with held.open(
+                driver="GTiff", height=heights.shape[0], width=heights.shape[1], count=1, dtype="float32", nodata=float("nan"),
+                crs=crs.to_wkt(), transform=transform, bigtiff="if_safer",
+            ) as dataset:  # fmt: skip
+                dataset.write(heights, 1)
+                dataset.units = (unit,)
+        # Heights grow upwards and are metres unless a unit is told, whatever the vertical axis of the CRS says.
+        source = LevelSource(path=Path(held.name), units=None if unit else "m", positive="up")
+        return OpenLevel(build_scene(load_level(source)), held)
+    except InputError as error:
+        held.close()
+        error.name = error.name.replace(held.name, ARRAY)
+        error.args = (str(error).replace(held.name, ARRAY),)
+        raise
     except BaseException:
         held.close()
         raise
+
+
+def _named(crs: CRS | None) -> str | None:
+    return None if crs is None else crs.srs
 
 
 def _sun(time: Time | None, azimuth: float | None, altitude: float | None) -> SunSpec | None:
@@ -327,10 +416,4 @@ def _sun(time: Time | None, azimuth: float | None, altitude: float | None) -> Su
 
 
 def _iso(time: Time | None) -> str | None:
-    if isinstance(time, np.datetime64):
-        return f"{np.datetime_as_string(time, unit='s')}Z"
-    return time.isoformat() if isinstance(time, datetime.datetime) else time
-
-
-def _day(name: str, day: datetime.date | str) -> datetime.date:
-    return date_of(name, day) if isinstance(day, str) else day
+    return cast("str | None", time)  # by its type

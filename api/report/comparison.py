@@ -45,7 +45,7 @@ def show(comparison: Comparison, again: str) -> None:
     """
     console = Console(width=140)
     table = Table(box=None, header_style="bold")
-    table.add_column("algorithm-texels-taps-bits", overflow="fold")
+    table.add_column("algorithm-texels-taps-bits", no_wrap=True, overflow="ignore")
     for title in (
         "ms",
         "wrong cast %",

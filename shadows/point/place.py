@@ -60,6 +60,10 @@ POINT = "point"
 """What errors call coordinates without ground."""
 
 
+MAX_COORDINATE = 1e9
+"""As of bounds: nodes are counted in whole numbers."""
+
+
 def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, height_m: float = 0.0) -> PointPlace:
     """The place of coordinates: longitude and latitude (east and north metres from the middle of a flat world), or x and y of a
     CRS.
@@ -72,7 +76,7 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
     ground = paged_relief(scene)
     x, y = _on_grid(scene, ground, at, crs)
     allowed = f"a place on the level's data{_extent(scene)}"
-    if not np.isfinite(x + y):
+    if not max(abs(x), abs(y)) <= MAX_COORDINATE:
         raise InputError(POINT, f"{at[0]:.10g},{at[1]:.10g}", allowed)
     row, col = (float(v) for v in ground.node_of(x, y))
     ground_m, there = ground.ground_at(row, col)

@@ -19,7 +19,7 @@ from terrain.errors import Fault, InputError, LevelError, printable
 from terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
 from terrain.level.data_files import special_kind
 from terrain.level.data_roots import DataRoots
-from terrain.level.level_errors import level_error
+from terrain.level.level_errors import UNKNOWN_KEY, level_error
 from terrain.level.level_source import KEYS_OF_OPTIONS, LevelSource
 from terrain.level.level_text import MOST_CHARACTERS, parse_level_text
 from terrain.level.linked_files import is_remote, linked_files
@@ -384,6 +384,8 @@ def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
         return Shadows.model_validate({**shadows.model_dump(include=set(Shadows.model_fields)), **changes})
     except ValidationError as error:
         details = error.errors()
+        if details[0]["type"] == UNKNOWN_KEY:
+            raise InputError(details[0]["ctx"]["key"], Fault("unknown"), details[0]["ctx"]["known"]) from None
         name = str(details[0]["loc"][0]) if details[0]["loc"] else "shadows"
         messages = (detail["msg"].removeprefix("Input should be ") for detail in details if detail["loc"][:1] == (name,))
         allowed = " or ".join(dict.fromkeys(messages))

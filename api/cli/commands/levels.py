@@ -7,6 +7,7 @@ import json
 import typer
 
 from api.cli.common_options import JsonOption
+from api.cli.tables import named_table, wide_console
 
 
 def levels(as_json: JsonOption = False) -> None:
@@ -18,11 +19,8 @@ def levels(as_json: JsonOption = False) -> None:
     if as_json:
         typer.echo(json.dumps(rows, indent=2))
         return
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("name", "title", "bounds (west, south, east, north)", "views", box=None)
+    table = named_table("name", "title", "bounds (west, south, east, north)", "views", box=None)
     for row in rows:
         bounds = "flat world" if row["bounds"] is None else ", ".join(f"{v:.3f}" for v in row["bounds"])
         table.add_row(row["name"], row["title"], bounds, ", ".join(row["views"]))
-    Console().print(table)
+    wide_console().print(table)

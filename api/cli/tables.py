@@ -1,0 +1,27 @@
+"""Tables on a terminal, and in files and pipes."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+FILE_COLUMNS = 200
+"""Width of tables that go into a file or a pipe."""
+
+
+def wide_console() -> Any:
+    """Return a console that does not break lines which no terminal does."""
+    from rich.console import Console
+
+    return Console(highlight=False, width=None if sys.stdout.isatty() else FILE_COLUMNS)
+
+
+def named_table(first: str, *others: str, **style: Any) -> Any:
+    """Return an empty table whose first column is never cut: it has the names that somebody types."""
+    from rich.table import Table
+
+    table = Table(**style)
+    table.add_column(first, no_wrap=True, overflow="ignore")
+    for other in others:
+        table.add_column(other, overflow="fold")
+    return table

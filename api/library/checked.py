@@ -1,0 +1,228 @@
+"""Parameters of the library as checked values: a wrong one is one ``SkuggaError``, which names it.
+
+``checked`` reads a function's annotations with pydantic; the types here are those that pydantic does not have.
+"""
+
+from __future__ import annotations
+
+import datetime
+import functools
+import inspect
+import operator
+import typing
+from collections.abc import Callable
+from typing import Annotated, Any, NoReturn, ParamSpec, TypeVar
+
+import numpy as np
+from affine import Affine
+from pydantic import ConfigDict, Field, PlainValidator, TypeAdapter, ValidationError
+from pydantic_core import PydanticCustomError
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from terrain.errors import Fault, InputError, SkuggaError
+from terrain.geo.clock import date_of
+from terrain.level.level import Shadows
+from terrain.level.parts import TIME_WORDS
+
+ParametersT = ParamSpec("ParametersT")
+ResultT = TypeVar("ResultT")
+
+CONFIG = ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
+
+SHADOWS = "shadows"
+"""The ``**shadows`` of a function: keys of a level's ``shadows``."""
+
+
+WORDS = {"path_type": "a path", "string_type": "a text"}
+"""What is allowed, by the type of pydantic's error, where its own words are not for users."""
+
+
+def checked(function: Callable[ParametersT, ResultT]) -> Callable[ParametersT, ResultT]:
+    """Decorate a function: its arguments are checked by its annotations, and converted where they can be.
+
+    Raises
+    ------
+    InputError
+        For a wrong argument, also of a model that the function makes of its arguments; for an unknown key of ``**shadows``.
+    TypeError
+        As Python does, for arguments that the function does not have.
+    """
+    signature = inspect.signature(function)
+    adapters: dict[str, TypeAdapter[Any]] = {}
+
+    @functools.wraps(function)
+    def wrapper(*args: ParametersT.args, **kwargs: ParametersT.kwargs) -> ResultT:
+        if not adapters:
+            hints = typing.get_type_hints(function, include_extras=True)
+            adapters.update(
+                {name: TypeAdapter(hint, config=CONFIG) for name, hint in hints.items() if name in signature.parameters}
+            )
+        bound = signature.bind(*args, **kwargs)
+        for name, value in bound.arguments.items():
+            if signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD:
+                if name == SHADOWS:
+                    _check_shadows(signature, value)
+            elif name in adapters:
+                try:
+                    bound.arguments[name] = adapters[name].validate_python(value)
+                except ValidationError as error:
+                    _refuse(error, {name: value}, name)
+        try:
+            return function(*bound.args, **bound.kwargs)
+        except ValidationError as error:
+            _refuse(error, bound.arguments)
+
+    return wrapper
+
+
+def _refuse(error: ValidationError, values: dict[str, Any], name: str | None = None) -> NoReturn:
+    """Raise what pydantic says as an ``InputError`` of a parameter."""
+    detail = error.errors()[0]
+    own = detail.get("ctx", {}).get("error")
+    if isinstance(own, SkuggaError):
+        raise own from None
+    name = name or ".".join(str(part) for part in detail["loc"])
+    words = "; ".join(
+        dict.fromkeys(WORDS.get(each["type"], each["msg"].removeprefix("Input should be ")) for each in error.errors())
+    )
+    raise InputError(name, values.get(name, detail["input"]), words) from None
+
+
+def _check_shadows(signature: inspect.Signature, keys: dict[str, Any]) -> None:
+    for key in keys:
+        if key not in Shadows.model_fields:
+            own = [each.name for each in signature.parameters.values() if each.name not in ("self", SHADOWS)]
+            raise InputError(key, Fault("unknown parameter"), ", ".join((*own, *Shadows.model_fields)))
+
+
+def _moment(value: Any) -> str:
+    kind = getattr(getattr(value, "dtype", None), "kind", "")
+    if kind == "M" and np.ndim(value) == 0 and not np.isnat(np.asarray(value)):
+        return f"{np.datetime_as_string(np.asarray(value).astype('datetime64[s]'))}Z"
+    if isinstance(value, datetime.datetime):
+        return value.isoformat()
+    if not isinstance(value, str):
+        raise PydanticCustomError("time", TIME_WORDS)
+    return value
+
+
+def _day(value: Any) -> datetime.date:
+    kind = getattr(getattr(value, "dtype", None), "kind", "")
+    if kind == "M" and np.ndim(value) == 0 and not np.isnat(np.asarray(value)):
+        value = str(np.asarray(value).astype("datetime64[D]"))
+    if isinstance(value, datetime.datetime):
+        return value.date()
+    if isinstance(value, datetime.date):
+        return value
+    if not isinstance(value, str):
+        raise PydanticCustomError("date", "a date of the calendar, as 2024-03-21")
+    try:
+        return date_of("date", value)
+    except InputError as error:
+        raise PydanticCustomError("date", "{words}", {"words": error.allowed}) from None
+
+
+def _bounds(value: Any) -> tuple[float, float, float, float]:
+    try:
+        numbers = [] if isinstance(value, str) else [float(each) for each in value]
+    except (TypeError, ValueError, OverflowError):
+        numbers = []
+    if len(numbers) != 4:
+        raise PydanticCustomError("bounds", "four numbers: west, south, east, north")
+    west, south, east, north = numbers
+    return west, south, east, north
+
+
+def _crs(value: Any) -> CRS:
+    try:
+        if isinstance(value, str) and value.isascii() and value.strip().isdigit():
+            value = int(value)
+        return CRS.from_user_input(value.to_wkt() if hasattr(value, "to_wkt") else value)
+    except (CRSError, TypeError, ValueError):
+        raise PydanticCustomError("crs", "a CRS that PROJ knows, as EPSG:32616") from None
+
+
+def _transform(value: Any) -> Affine:
+    try:
+        numbers = [float(each) for each in tuple(value)[:6]]
+    except (TypeError, ValueError, OverflowError):
+        numbers = []
+    if len(numbers) != 6 or not np.isfinite(numbers).all():
+        raise PydanticCustomError("transform", "the six numbers of an affine transform, as rasterio's")
+    return Affine(*numbers)
+
+
+def _size(value: Any) -> tuple[int, int]:
+    try:
+        sides = [] if isinstance(value, str) else [operator.index(each) for each in value]
+    except (TypeError, ValueError, OverflowError):
+        sides = []
+    if len(sides) != 2 or not all(1 <= side <= MAX_PICTURE_PX for side in sides):
+        raise PydanticCustomError("size", "(columns, rows): two whole numbers, 1 to {most}", {"most": MAX_PICTURE_PX})
+    return sides[0], sides[1]
+
+
+def _cells(value: Any) -> tuple[slice, slice]:
+    parts = value if isinstance(value, tuple) else ()
+    ends = [end for part in parts if isinstance(part, slice) for end in (part.start, part.stop) if end is not None]
+    if len(parts) != 2 or not all(isinstance(part, slice) and part.step in (None, 1) for part in parts):
+        raise PydanticCustomError("cells", "rows and columns as two slices, np.s_[:512, 512:1024]")
+    if not all(hasattr(end, "__index__") for end in ends):
+        raise PydanticCustomError("cells", "slices of whole numbers")
+    return parts
+
+
+def _sides(value: Any) -> tuple[float, float]:
+    try:
+        sides = np.asarray(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        sides = np.empty(0)
+    if sides.shape not in ((), (2,)) or not ((sides >= MIN_CELL_M) & (sides <= MAX_CELL_M)).all():
+        raise PydanticCustomError(
+            "cell", "metres, more than 0: the side of a cell, or (down, right); of a geotransform abs(transform.e) and transform.a"
+        )
+    down, right = np.broadcast_to(sides, (2,))
+    return float(down), float(right)
+
+
+MIN_CELL_M, MAX_CELL_M = 1e-6, 1e6
+
+MAX_PICTURE_PX = 16384
+"""A side, as of ``--size``."""
+
+Time = Annotated[datetime.datetime | np.datetime64 | str, PlainValidator(_moment)]
+"""A time with an offset from UTC, or datetime64 in UTC; a function gets it in ISO 8601."""
+
+Date = Annotated[datetime.date | str, PlainValidator(_day)]
+"""A date; a function gets a ``datetime.date``."""
+
+AnyCrs = Annotated[Any, PlainValidator(_crs)]
+"""A CRS as pyproj takes it, or one of rasterio; a function gets one of pyproj."""
+
+Bounds = Annotated[tuple[float, float, float, float], PlainValidator(_bounds)]
+"""West, south, east, north."""
+
+Transform = Annotated[Affine, PlainValidator(_transform)]
+"""A geotransform, or its six numbers."""
+
+CellSides = Annotated[float | tuple[float, float], PlainValidator(_sides)]
+"""The side of a cell, metres, or its (row, column) sides; a function gets both."""
+
+AzimuthDeg = Annotated[float, Field(ge=-360.0, le=720.0)]
+AltitudeDeg = Annotated[float, Field(ge=-90.0, le=90.0)]
+Lines = Annotated[int, Field(ge=1, le=64)]
+Cores = Annotated[int, Field(ge=1, le=1024)]
+LatitudeDeg = Annotated[float, Field(ge=-90.0, le=90.0)]
+LongitudeDeg = Annotated[float, Field(ge=-540.0, le=540.0)]
+Days = Annotated[int, Field(ge=1)]
+StepMinutes = Annotated[float, Field(ge=0.5, le=60.0)]
+ThresholdHours = Annotated[float, Field(ge=0.0, le=24.0)]
+LeastAltitudeDeg = Annotated[float, Field(ge=-1.0, lt=90.0)]
+HeightM = Annotated[float, Field(ge=0.0, le=1000.0)]
+Resolution = Annotated[float, Field(gt=0.0)]
+Size = Annotated[tuple[int, int], PlainValidator(_size)]
+"""Columns and rows of a picture."""
+
+Cells = Annotated[tuple[slice, slice], PlainValidator(_cells)]
+"""Rows and columns."""

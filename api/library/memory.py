@@ -1,0 +1,64 @@
+"""Memory: what is free, and whether arrays fit into it before they are made."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from terrain.errors import Fault, InputError
+
+MEMINFO = Path("/proc/meminfo")
+CGROUPS = (
+    (Path("/sys/fs/cgroup"), "memory.max", "memory.current", "inactive_file"),
+    (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+)
+"""Where a container's limit, its use and the pages that the kernel may drop are (cgroups v2 and v1)."""
+
+
+def free_bytes() -> int | None:
+    """Return the bytes of memory that this process can still take; ``None`` where the system does not say."""
+    return min(_free(), default=None)
+
+
+def check_memory(name: str, rows: int, cols: int, bytes_a_cell: float, remedy: str) -> None:
+    """Refuse arrays that do not fit into memory.
+
+    Parameters
+    ----------
+    name
+        The parameter that says how many cells there are.
+    rows, cols
+        Cells of the arrays.
+    bytes_a_cell
+        Bytes that the work takes for each cell.
+    remedy
+        How the same is done in less memory.
+
+    Raises
+    ------
+    InputError
+        Where they do not fit.
+    """
+    needed, free = rows * cols * bytes_a_cell, free_bytes()
+    if free is not None and needed > free:
+        fault = f"{rows} x {cols} cells take {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free"
+        raise InputError(name, Fault(fault), remedy)
+
+
+def _free() -> Iterator[int]:
+    try:
+        fields = dict(line.split(":", 1) for line in MEMINFO.read_text(encoding="ascii").splitlines())
+        yield int(fields["MemAvailable"].split()[0]) * 1024
+    except (OSError, KeyError, ValueError):
+        try:
+            yield os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        except (AttributeError, OSError, ValueError):
+            pass
+    for folder, limit, use, inactive in CGROUPS:
+        try:
+            stat = dict(line.split() for line in (folder / "memory.stat").read_text(encoding="ascii").splitlines())
+            used = int((folder / use).read_text(encoding="ascii")) - int(stat.get(inactive, 0))
+            yield max(int((folder / limit).read_text(encoding="ascii")) - used, 0)  # "max": no limit
+        except (OSError, ValueError):
+            continue

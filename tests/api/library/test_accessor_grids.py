@@ -1,0 +1,135 @@
+"""``da.skugga`` in one piece and by chunks, in several CRSs, and whichever way rows and columns run."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import rioxarray
+import xarray
+from affine import Affine
+
+import skugga
+from tests.api.library.test_library import THREADED
+from tests.rasters import write_geotiff
+
+TURNED = Affine(30.0, 5.0, 500e3, 5.0, -30.0, 5200e3)
+
+SUN = {"azimuth": 250.0, "altitude": 12.0}
+
+PLACES = {
+    "EPSG:4326": (10.0, 47.0, 1 / 3600), "EPSG:3035": (4321e3, 2700e3, 30.0), "EPSG:3031": (-100e3, -1500e3, 30.0),
+    "EPSG:2056": (2600e3, 1200e3, 30.0), "EPSG:32633": (500e3, 5200e3, 30.0), "EPSG:3857": (1000e3, 6000e3, 30.0),
+}  # fmt: skip
+"""CRS -> west, north and cell of a raster."""
+
+PRODUCTS: dict[str, Callable[[xarray.DataArray], xarray.DataArray]] = {
+    "shadow": lambda array: array.skugga.shadow(**SUN),
+    "shadow of a time": lambda array: array.skugga.shadow(time="2024-03-21T15:00Z"),
+    "hours": lambda array: array.skugga.sun_hours("2024-12-21", step_min=60.0),
+    "first sun": lambda array: array.skugga.sun_hours("2024-12-21", step_min=60.0, quantity="first", clock="utc"),
+}
+
+
+def hills() -> np.ndarray:
+    row, col = np.mgrid[:90, :120].astype(np.float32)
+    height = 900 + 300 * np.sin(col / 9) * np.cos(row / 13)
+    height[20:30, 50:70] = np.nan
+    return height
+
+
+def placed(crs: str) -> xarray.DataArray:
+    west, north, cell = PLACES[crs]
+    y, x = north - cell * (np.arange(90) + 0.5), west + cell * (np.arange(120) + 0.5)
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # CF cannot say all of EPSG:2056
+        return xarray.DataArray(hills(), dims=("y", "x"), coords={"y": y, "x": x}).rio.write_crs(crs)
+
+
+@THREADED
+@pytest.mark.parametrize("crs", PLACES)
+@pytest.mark.parametrize("product", PRODUCTS)
+def test_chunks_are_parts_of_the_whole_in_any_crs(crs, product):
+    whole = PRODUCTS[product](placed(crs))
+    assert whole.rio.crs.to_string() == crs and whole.notnull().any()
+    lazy = PRODUCTS[product](placed(crs).chunk({"y": 40, "x": 70}))
+    assert lazy.chunks == ((40, 40, 10), (70, 50))
+    xarray.testing.assert_equal(lazy.compute(), whole)
+
+
+@THREADED
+def test_a_geographic_file_in_chunks_is_the_file(tmp_path):
+    """As ``rioxarray.open_rasterio`` opens it."""
+    raster = write_geotiff(tmp_path / "dem.tif", hills(), "EPSG:4326", 10.0, 47.0, 1 / 3600, nodata=float("nan"))
+    chunked = rioxarray.open_rasterio(raster, masked=True, chunks={"y": 40, "x": 70}).squeeze()
+    with skugga.open_level(raster) as level:
+        np.testing.assert_array_equal(chunked.skugga.shadow(**SUN).compute(), level.shade("visibility", **SUN) < 0.5)
+        hours = level.sun_hours("2024-12-21", step_min=60.0)
+        np.testing.assert_array_equal(chunked.skugga.sun_hours("2024-12-21", step_min=60.0).compute(), hours)
+        horizon = chunked.skugga.horizon(10.02, 46.99)
+        np.testing.assert_array_equal(horizon, level.horizon(10.02, 46.99).elevation_deg)
+
+
+@THREADED
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:32633"])
+@pytest.mark.parametrize("steps", [(-1, 1), (1, -1), (-1, -1)])
+@pytest.mark.parametrize("chunks", [None, {"y": 40, "x": 70}])
+def test_rows_and_columns_may_run_either_way(crs, steps, chunks):
+    right = placed(crs)
+    turned = right.isel(y=slice(None, None, steps[0]), x=slice(None, None, steps[1]))
+    for product in ("shadow", "hours"):
+        answer = PRODUCTS[product](turned if chunks is None else turned.chunk(chunks)).compute()
+        xarray.testing.assert_equal(answer.y, turned.y)
+        xarray.testing.assert_equal(answer.x, turned.x)
+        xarray.testing.assert_equal(answer.sortby("x").sortby("y", ascending=False), PRODUCTS[product](right))
+
+
+def test_cells_without_coordinates_lie_where_the_geotransform_says(tmp_path):
+    raster = write_geotiff(tmp_path / "dem.tif", hills(), "EPSG:32633", 500e3, 5200e3, 30.0)
+    bare = rioxarray.open_rasterio(raster, masked=True, parse_coordinates=False).squeeze()
+    assert "x" not in bare.coords
+    np.testing.assert_array_equal(bare.skugga.shadow(**SUN), placed("EPSG:32633").skugga.shadow(**SUN))
+
+
+def test_the_answer_keeps_the_name_of_the_grid_mapping():
+    array = placed("EPSG:32633").drop_vars("spatial_ref").rio.write_crs("EPSG:32633", grid_mapping_name="utm")
+    assert array.skugga.shadow(**SUN).rio.crs.to_epsg() == 32633
+
+
+WRONG: dict[str, tuple[Callable[[xarray.DataArray], Any], str]] = {
+    "no coordinates": (lambda array: array.drop_vars(["x", "y"]), "no place"),
+    "a row of no height": (lambda array: array[:1], "no place"),
+    "uneven rows": (lambda array: array.isel(y=[*range(40), *range(41, 90)]), "y: uneven steps"),
+    "the same row": (lambda array: array.assign_coords(y=np.zeros(90)), "y: uneven steps"),
+    "no number": (lambda array: array.assign_coords(x=np.full(120, np.nan)), "x: coordinates"),
+    "dates": (lambda array: array.assign_coords(x=np.arange(120).astype("datetime64[D]")), "x: coordinates"),
+    "turned": (
+        lambda array: array.drop_vars(["x", "y"]).rio.write_transform(TURNED), "turned grid",
+    ),
+    "other dimensions": (lambda array: array.rename(x="lon", y="lat"), "set_spatial_dims"),
+    "three dimensions": (lambda array: array.expand_dims("band"), "two, y and x"),
+    "no cell": (lambda array: array[:0], "at least 1 x 1"),
+    "words": (lambda array: array.astype(str), "real numbers"),
+    "complex numbers": (lambda array: array.astype(complex), "real numbers"),
+    "no CRS": (lambda array: array.drop_vars("spatial_ref"), "write_crs"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("chunked", [False, True])
+@pytest.mark.parametrize("fault", WRONG)
+def test_arrays_that_are_no_upright_grid_are_refused_with_a_remedy(fault, chunked):
+    change, words = WRONG[fault]
+    array = change(placed("EPSG:32633"))
+    with pytest.raises(skugga.SkuggaError, match=words) as error:
+        (array.chunk() if chunked else array).skugga.shadow(**SUN)
+    assert "\n" not in str(error.value)
+
+
+def test_an_array_too_large_for_memory_is_refused_before_it_is_read():
+    huge = np.broadcast_to(np.float32(0.0), (10**7, 10**7))
+    small = placed("EPSG:32633").rio.write_transform(Affine(0.1, 0.0, 500e3, 0.0, -0.1, 5200e3))
+    array = xarray.DataArray(huge, dims=("y", "x"), coords={"spatial_ref": small.spatial_ref})
+    with pytest.raises(skugga.SkuggaError, match="GB.*chunks"):
+        array.skugga.shadow(**SUN)

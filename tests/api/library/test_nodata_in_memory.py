@@ -1,0 +1,96 @@
+"""Cells without a height in arrays: what is masked, marked or not finite is no ground, neither dark nor a caster."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rasterio
+import rioxarray
+import xarray
+from affine import Affine
+
+import skugga
+from tests.rasters import write_geotiff
+
+SUN = {"azimuth": 250.0, "altitude": 12.0}
+PLACE = Affine(30.0, 0.0, 500e3, 0.0, -30.0, 5200e3)
+HIDDEN = np.s_[20:30, 50:70]
+
+
+@pytest.fixture(scope="module")
+def height_m() -> np.ndarray:
+    row, col = np.mgrid[:90, :120].astype(np.float32)
+    height = 900 + 300 * np.sin(col / 9) * np.cos(row / 13)
+    height[HIDDEN] = np.nan
+    return height
+
+
+def masked(height_m: np.ndarray, under: float) -> np.ma.MaskedArray:
+    return np.ma.masked_array(np.where(np.isnan(height_m), np.float32(under), height_m), np.isnan(height_m))
+
+
+@pytest.mark.parametrize("under", [0.0, 5000.0, -9999.0, -3.4e38])
+def test_what_a_masked_array_masks_is_no_ground(height_m, under):
+    hidden = masked(height_m, under)
+    for call in (
+        lambda heights: skugga.shadow(heights, 30.0, 250.0, 12.0),
+        lambda heights: skugga.horizon(heights, 30.0, 250.0),
+        lambda heights: skugga.sun_hours(heights, 30.0, "2024-12-21", 46.9, step_min=60.0),
+        lambda heights: skugga.open_heights(heights, PLACE, "EPSG:32633").shade("visibility", **SUN),
+    ):
+        np.testing.assert_array_equal(call(hidden), call(height_m))
+    assert not skugga.shadow(hidden, 30.0, 250.0, 12.0)[HIDDEN].any()
+
+
+@pytest.mark.parametrize("sentinel", [np.inf, -np.inf, -3.4e38, 1e30])
+def test_sentinels_are_no_ground(height_m, sentinel):
+    marked = np.where(np.isnan(height_m), np.float32(sentinel), height_m)
+    np.testing.assert_array_equal(skugga.shadow(marked, 30.0, 250.0, 12.0), skugga.shadow(height_m, 30.0, 250.0, 12.0))
+
+
+@pytest.mark.parametrize("dtype", ["int16", "int32", "uint16", "float32", "float64"])
+@pytest.mark.parametrize("options", [{}, {"masked": True}, {"mask_and_scale": True}, {"parse_coordinates": False}, {"chunks": 50}])
+def test_the_nodata_of_a_file_is_none_of_its_ground(height_m, dtype, options, tmp_path):
+    """However rioxarray opens it: the answer is that of the file."""
+    nodata = 65535 if dtype == "uint16" else -9999
+    raster = write_geotiff(
+        tmp_path / "dem.tif", np.where(np.isnan(height_m), nodata, height_m).astype(dtype), "EPSG:32633", 500e3, 5200e3, 30.0,
+        nodata=nodata,
+    )  # fmt: skip
+    with skugga.open_level(raster) as level:
+        visibility = level.shade("visibility", **SUN)
+    dark = rioxarray.open_rasterio(raster, **options).squeeze().skugga.shadow(**SUN)
+    np.testing.assert_array_equal(dark, visibility < 0.5)
+    assert not dark[HIDDEN].any()
+
+
+def heights(values: np.ndarray) -> xarray.DataArray:
+    rows, cols = values.shape
+    y, x = PLACE.f + PLACE.e * (np.arange(rows) + 0.5), PLACE.c + PLACE.a * (np.arange(cols) + 0.5)
+    return xarray.DataArray(values, dims=("y", "x"), coords={"y": y, "x": x}).rio.write_crs("EPSG:32633")
+
+
+def test_nodata_that_is_written_into_an_array_is_no_ground(height_m):
+    right = heights(height_m).skugga.shadow(**SUN)
+    marked = heights(np.where(np.isnan(height_m), -9999.0, height_m).astype(np.float32))
+    for array in (
+        marked.rio.write_nodata(-9999),
+        marked.assign_attrs(_FillValue=-9999),
+        marked.assign_attrs(missing_value=-9999.0),
+    ):
+        xarray.testing.assert_equal(array.skugga.shadow(**SUN), right)
+    assert marked.skugga.shadow(**SUN)[HIDDEN].sum() > 0, "a pit, where nobody says that it is none"
+
+
+def test_scale_offset_and_unit_are_heeded_as_those_of_a_file(height_m, tmp_path):
+    feet = np.rint((np.nan_to_num(height_m, nan=900.0) / 0.3048 - 1000.0) / 0.5).astype(np.int16)
+    raster = write_geotiff(tmp_path / "feet.tif", feet, "EPSG:32633", 500e3, 5200e3, 30.0)
+    with rasterio.open(raster, "r+") as dataset:
+        dataset.scales, dataset.offsets, dataset.units = (0.5,), (1000.0,), ("ft",)
+    with skugga.open_level(raster) as level:
+        visibility = level.shade("visibility", **SUN)
+    array = rioxarray.open_rasterio(raster).squeeze()
+    assert array.attrs["scale_factor"] == 0.5
+    np.testing.assert_array_equal(array.assign_attrs(units="ft").skugga.shadow(**SUN), visibility < 0.5)
+    metres = heights(height_m * 0 + (feet * 0.5 + 1000.0) * 0.3048).skugga.shadow(**SUN)
+    assert (metres.to_numpy() != (visibility < 0.5))[np.isfinite(height_m)].mean() < 0.02, "but for the hole, which casts filled"

@@ -1,0 +1,236 @@
+"""Whatever is passed to the library's functions: an answer, or one ``SkuggaError``."""
+
+from __future__ import annotations
+
+import datetime
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from affine import Affine
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+import skugga
+from api.library import memory
+
+NAN, INF = float("nan"), float("inf")
+GROUND = np.zeros((6, 7), np.float32)
+PLACE = Affine(30.0, 0.0, 500e3, 0.0, -30.0, 5200e3)
+SUN = {"azimuth": 250.0, "altitude": 12.0}
+
+ODD = [
+    None, "", "x", b"x", 0, -1, 1, 1.5, 1e300, -1e300, 10**400, NAN, INF, True, (), [], (1, 2), (1, 2, 3, 4), "1,2,3,4", {},
+    object(), np.array([1.0, 2.0]), np.zeros((2, 2)), np.float32(3), np.int64(-3), np.datetime64("NaT"), "2024-03-21",
+    np.datetime64("2024-03-21T10:00"), datetime.date(2024, 3, 21), datetime.datetime(2024, 3, 21), "2024-03-21T10:00Z",
+    Path("nowhere.tif"), slice(0, 2),
+]  # fmt: skip
+
+ARRAYS = [
+    5, "abc", [[]], [[1, 2], [3]], [[1, 2], [3, 10**400]], np.zeros(4), np.zeros((1, 5)), np.zeros((0, 5)), np.zeros((2, 2, 2)),
+    np.zeros((3, 3), complex), np.full((3, 3), "a"), np.full((3, 3), None), np.full((3, 3), "2020-01-01", "datetime64[D]"),
+    np.full((3, 3), NAN), np.full((3, 3), INF), np.full((3, 3), 1e38), np.full((3, 3), 1e300), np.zeros((3, 3), bool),
+    np.zeros((3, 3), object), np.ma.masked_all((3, 3)), {"a": 1}, range(3), [[1, 2], [3, 4]],
+]  # fmt: skip
+
+
+def answers_or_refuses(call: Callable[[], Any]) -> None:
+    """Neither another error nor a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            call()
+        except skugga.SkuggaError as error:
+            assert 0 < len(str(error)) < 1000 and "\n" not in str(error) and "/vsimem" not in str(error)
+
+
+@pytest.fixture(scope="module")
+def level() -> Iterator[skugga.OpenLevel]:
+    with skugga.open_heights(GROUND, PLACE, "EPSG:32633") as opened:
+        yield opened
+
+
+OF_ARRAYS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    "shadow": (skugga.shadow, dict(height_m=GROUND, cell_m=30.0, azimuth_deg=250.0, altitude_deg=12.0, lines=8, cores=1)),
+    "sunlit": (skugga.sunlit, dict(height_m=GROUND, cell_m=30.0, azimuth_deg=250.0, altitude_deg=12.0, lines=8, cores=1)),
+    "horizon": (skugga.horizon, dict(height_m=GROUND, cell_m=30.0, azimuth_deg=250.0, lines=4, cores=1)),
+    "sun_hours": (
+        skugga.sun_hours, dict(height_m=GROUND, cell_m=30.0, date="2024-03-21", lat_deg=46.0, lon_deg=7.0, step_min=60.0),
+    ),
+    "open_heights": (
+        lambda **given: skugga.open_heights(**given).close(), dict(height_m=GROUND, transform=PLACE, crs="EPSG:32633"),
+    ),
+    "open_level": (
+        lambda **given: skugga.open_level(**given).close(),
+        dict(source="jacksboro", canopy=None, buildings=None, nodata=None, units=None),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "parameter"), [(name, each) for name, (_, right) in OF_ARRAYS.items() for each in right])
+def test_odd_values_of_functions(name, parameter):
+    function, right = OF_ARRAYS[name]
+    for value in [*ODD, *(ARRAYS if parameter == "height_m" else ())]:
+        answers_or_refuses(lambda value=value: function(**{**right, parameter: value}))
+
+
+OF_LEVELS: dict[str, dict[str, Any]] = {
+    "shade": {
+        "layer": "mask", "time": None, "azimuth": 250.0, "altitude": 12.0, "bounds": None, "crs": None, "resolution": None,
+        "like": None, "cells": None, "algorithm": None, "map_size": None, "max_error": None, "times": None,
+    },
+    "sun_hours": {
+        "date": "2024-03-21", "to": None, "every_days": 1, "window": "10:00-12:00", "clock": "solar", "quantity": "hours",
+        "step_min": 60.0, "threshold_h": 2.0, "least_altitude": 0.0, "height": 0.0, "bounds": None, "crs": None, "resolution": None,
+        "like": None, "cells": None,
+    },
+    "point": {
+        "lon": 500100.0, "lat": 5199900.0, "crs": "EPSG:32633", "time": None, "date": "2024-03-21", "clock": None, "height": 0.0,
+        "year": None,
+    },
+    "horizon": {"lon": 500100.0, "lat": 5199900.0, "crs": "EPSG:32633", "height": 0.0},
+    "film": {
+        "view": "map", "start": "2024-03-21T10:00Z", "end": "2024-03-21T12:00Z", "step": "1h", "path": None, "fps": 25.0,
+        "size": (8, 8), "bounds": None, "crs": None, "seconds": None, "style": None, "slope_exaggeration": None,
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "parameter"), [(name, each) for name, right in OF_LEVELS.items() for each in right])
+def test_odd_values_of_levels(level, name, parameter):
+    for value in ODD:
+        answers_or_refuses(lambda value=value: getattr(level, name)(**{**OF_LEVELS[name], parameter: value}))
+
+
+@pytest.mark.parametrize(
+    "parameter", ["view", "layer", "time", "azimuth", "altitude", "size", "bounds", "crs", "seconds", "style", "slope_exaggeration"]
+)
+def test_odd_values_of_pictures(gl, level, parameter):
+    for value in ODD:
+        answers_or_refuses(lambda value=value: level.render(**{**SUN, "size": (8, 8), parameter: value}))
+
+
+FLOATS = st.sampled_from([np.float32, np.float64, np.float16])
+INTEGERS = st.sampled_from([np.int16, np.uint8, np.int64, np.bool_])
+
+
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    heights=st.one_of(
+        arrays.arrays(FLOATS, arrays.array_shapes(min_dims=0, max_dims=3, max_side=5)),
+        arrays.arrays(INTEGERS, arrays.array_shapes(min_dims=2, max_dims=2, max_side=5)),
+    ),
+    cell=st.one_of(st.floats(), st.tuples(st.floats(), st.floats()), st.floats(0.1, 1000.0)),
+    azimuth=st.one_of(st.floats(), st.floats(0.0, 360.0)),
+    altitude=st.one_of(st.floats(), st.floats(-90.0, 90.0)),
+)
+def test_any_numbers_give_shadows_of_the_array_s_shape(heights, cell, azimuth, altitude):
+    def shaded() -> None:
+        dark = skugga.shadow(heights, cell, azimuth, altitude)
+        assert dark.shape == heights.shape and dark.dtype == np.bool_
+        with np.errstate(invalid="ignore"):
+            assert not dark[~(np.abs(heights.astype(np.float64)) <= 1.01e6)].any()
+
+    answers_or_refuses(shaded)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda level: level.shade("mask", times="2024-03-21T10:00Z"), ("times: unknown parameter", "time,", "algorithm")),
+        (lambda level: skugga.shadow(GROUND, 0.0, 250.0, 12.0), ("cell_m: '0.0'", "more than 0")),
+        (lambda level: skugga.shadow(GROUND, (PLACE.e, PLACE.a), 250.0, 12.0), ("cell_m: '(-30.0, 30.0)'", "abs(transform.e)")),
+        (lambda level: skugga.shadow(GROUND, 30.0, 250.0, 95.0), ("altitude_deg: '95.0'", "90")),
+        (lambda level: skugga.shadow(GROUND, 30.0, 250.0, NAN), ("altitude_deg: 'nan'", "finite")),
+        (lambda level: skugga.shadow(GROUND, 30.0, 250.0, 12.0, lines=10**6), ("lines", "64")),
+        (lambda level: skugga.shadow(GROUND[0], 30.0, 250.0, 12.0), ("height_m", "(7,)", "2 x 2")),
+        (lambda level: skugga.open_heights(np.full((3, 3), NAN), PLACE, "EPSG:32633"), ("the array", "no height")),
+        (lambda level: level.shade(cells=np.s_[6:, :], **SUN), ("cells", "6 x 7")),
+        (lambda level: level.shade(cells=np.s_[:2, :2], crs=3857, **SUN), ("crs", "beside cells")),
+        (lambda level: level.shade(resolution=1e-9, **SUN), ("resolution: '1e-09'", "2^40")),
+        (lambda level: level.sun_hours("2024-03-21", step_min=0), ("step_min: '0'", "0.5")),
+        (lambda level: level.point(15.0, 46.95, year=5), ("year: '5'", "1800")),
+        (lambda level: skugga.open_level("a" * 5000), ("LEVEL", "aaa")),
+    ],
+)  # fmt: skip
+def test_the_message_names_the_parameter_and_what_is_allowed(level, call, words):
+    with pytest.raises(skugga.SkuggaError) as error:
+        call(level)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_an_array_that_is_no_grid_is_a_value_error_as_before():
+    with pytest.raises(ValueError, match=r"\(4,\)"):
+        skugga.shadow(np.zeros(4), 30.0, 0.0, 10.0)
+
+
+def test_an_argument_that_there_is_not_is_a_type_error():
+    with pytest.raises(TypeError, match="'dark'"):
+        skugga.shadow(GROUND, 30.0, 250.0, 12.0, dark=True)
+
+
+def test_a_level_that_is_closed_says_so():
+    level = skugga.open_heights(GROUND, PLACE, "EPSG:32633")
+    level.close()
+    level.close()
+    with pytest.raises(skugga.SkuggaError, match="closed"):
+        level.shade(**SUN)
+
+
+def test_arrays_that_do_not_fit_are_refused_before_they_are_made():
+    """A petabyte: numpy itself has no memory for it until it is written to."""
+    huge = np.broadcast_to(np.float32(0.0), (10**7, 10**7))
+    for call in (
+        lambda: skugga.shadow(huge, 30.0, 250.0, 12.0),
+        lambda: skugga.sunlit(huge, 30.0, 250.0, 12.0),
+        lambda: skugga.horizon(huge, 30.0, 250.0),
+        lambda: skugga.sun_hours(huge, 30.0, "2024-03-21", 46.0),
+        lambda: skugga.open_heights(huge, PLACE, "EPSG:32633"),
+    ):
+        with pytest.raises(skugga.SkuggaError, match=r"height_m: 10000000 x 10000000 cells take .* GB .*skugga shade.*dask"):
+            call()
+
+
+def test_a_raster_too_large_for_an_array_is_refused(level):
+    for call in (lambda: level.shade(resolution=0.0005, **SUN), lambda: level.sun_hours("2024-03-21", resolution=0.0005)):
+        with pytest.raises(skugga.SkuggaError, match=r"resolution: .* GB .*np\.s_.*skugga shade"):
+            call()
+
+
+def test_free_memory_is_what_the_system_and_a_container_leave(tmp_path, monkeypatch):
+    """The least of both; pages of files that the kernel may drop are free."""
+    (tmp_path / "meminfo").write_text("MemTotal: 64 kB\nMemAvailable: 32 kB\n")
+    monkeypatch.setattr(memory, "MEMINFO", tmp_path / "meminfo")
+    monkeypatch.setattr(memory, "CGROUPS", [(tmp_path, "memory.max", "memory.current", "inactive_file")])
+    assert memory.free_bytes() == 32 * 1024
+    for name, text in (("memory.max", "20000"), ("memory.current", "15000"), ("memory.stat", "anon 9000\ninactive_file 4000\n")):
+        (tmp_path / name).write_text(text)
+    assert memory.free_bytes() == 20000 - (15000 - 4000)
+    (tmp_path / "memory.max").write_text("max")
+    assert memory.free_bytes() == 32 * 1024
+
+
+def test_the_cells_of_a_level_are_parts_of_the_whole():
+    row, col = np.mgrid[:90, :120]
+    hills = 300.0 * np.sin(col / 9) * np.cos(row / 13)
+    with skugga.open_heights(hills, PLACE, "EPSG:32633") as level:
+        part = np.s_[20:70, 30:]
+        np.testing.assert_array_equal(level.shade(cells=part, **SUN), level.shade(**SUN)[part])
+        hours = level.sun_hours("2024-12-21", step_min=60.0)
+        np.testing.assert_array_equal(level.sun_hours("2024-12-21", step_min=60.0, cells=part), hours[part])
+        for crs in (level.crs, 32633, "EPSG:32633", level.crs.to_wkt()):
+            np.testing.assert_array_equal(level.shade(crs=crs, **SUN), level.shade(**SUN))
+
+
+def test_lists_and_sides_down_and_right_are_heights_and_cells():
+    wall = np.zeros((5, 30), np.float32)
+    wall[:, 10] = 60.0
+    dark = skugga.shadow(wall, 30.0, 270.0, 26.0)
+    assert dark[2].sum() > 3
+    for heights in (wall.tolist(), wall.astype(int), np.asfortranarray(wall)):
+        np.testing.assert_array_equal(skugga.shadow(heights, [30, 30], 270, 26), dark)
