@@ -22,7 +22,7 @@ from api.layers import PASS_LAYERS, frame_layer
 from api.library.tile_service import TileService
 from api.point.report import around_point, point_report
 from api.point.values import PointQuery, PointReport
-from api.shade import Bounds, raster_view, shade_array, transform_of
+from api.shade import Bounds, raster_view, shade_array
 from api.sun_hours import sun_hours_array
 from selector.film import film_frames, frame_moments
 from selector.film_request import FilmRequest
@@ -43,7 +43,10 @@ Time = datetime.datetime | np.datetime64 | str
 
 
 class OpenLevel:
-    """A level's scene; its arrays have row 0 in the north. To be closed, or used by ``with``; not to be shared between threads."""
+    """A level's scene. To be closed, or used by ``with``; not to be shared between threads.
+
+    Arrays on its own cells, or on those of another raster, have that raster's order; all others have row 0 in the north.
+    """
 
     def __init__(self, scene: Scene, held: MemoryFile | None = None) -> None:
         self._scene = scene
@@ -70,17 +73,17 @@ class OpenLevel:
     @property
     def crs(self) -> CRS:
         """The CRS of its own grid."""
-        return self._own.grid.crs
+        return self._own.crs
 
     @property
     def transform(self) -> Affine:
         """The geotransform of its own grid."""
-        return transform_of(self._own)
+        return self._own.transform
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of its own grid."""
-        return self._own.rows, self._own.cols
+        return self._own.shape
 
     def render(
         self,
@@ -168,8 +171,8 @@ class OpenLevel:
 
         Raises ``SkuggaError``.
         """
-        view = raster_view(self._scene, bounds, crs, resolution, like)
-        return shade_array(self._scene, view, layer, _sun(time, azimuth, altitude), shadows)
+        raster = raster_view(self._scene, bounds, crs, resolution, like)
+        return shade_array(self._scene, raster, layer, _sun(time, azimuth, altitude), shadows)
 
     def sun_hours(
         self,

@@ -14,7 +14,8 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from terrain.errors import SourceError
-from terrain.geo.world import transformer
+from terrain.geo.axes import axes_of
+from terrain.geo.world import AxesTransformer, transformer
 from terrain.level.data_files import check_geodata
 from terrain.level.linked_files import is_remote
 
@@ -79,6 +80,9 @@ def read_features(source: str, crs: CRS, attributes: Sequence[str] = (), usual: 
     if shapely.is_empty(geometry).all():
         raise SourceError(source, "no feature with a geometry", "points or polygons")
     own = _crs(source, meta["crs"], crs)
+    axes = axes_of(own)
+    if not axes.are_standard:
+        geometry = shapely.transform(geometry, axes.xy, interleaved=False)
     _check_places(source, own, crs, shapely.get_coordinates(geometry))
     # Mended before, since long edges are divided rightly in valid polygons alone, and after, since a projection may fold them.
     geometry = _mended(source, geometry)
@@ -126,7 +130,7 @@ def numbers(features: Features, attribute: str) -> np.ndarray:
     return result
 
 
-def between(source: str, own: CRS, crs: CRS, back: bool = False) -> Transformer:
+def between(source: str, own: CRS, crs: CRS, back: bool = False) -> Transformer | AxesTransformer:
     """The transformation from a file's own CRS to another one, or ``back``. Raises ``SourceError`` where there is none."""
     try:
         return transformer(crs, own) if back else transformer(own, crs)
