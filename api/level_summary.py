@@ -61,8 +61,8 @@ def remarks(source: Path | LevelSource) -> list[str]:
     notes += [f"warning: {text}" for text in scene.warnings]
     if elevation.units is None and not is_generated:
         notes.append("no vertical unit in the raster: heights are taken as metres; set terrain.units if that is wrong")
-    if scene.world.flat and not is_generated:
-        notes.append("an engineering CRS is not georeferenced: no web tiles, and the sun by azimuth and altitude only")
+    if scene.world.off_earth is not None and not is_generated:
+        notes.append(f"{scene.world.off_earth}: no web tiles, and the sun by azimuth and altitude only")
     return notes
 
 

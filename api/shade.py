@@ -100,7 +100,7 @@ class RasterView:
     def part(self, row: int, col: int, rows: int, cols: int) -> RasterView:
         """Some cells, counted in the view; the offsets may be negative."""
         first_row, first_col, _ = self.placed(row, col, np.empty((rows, cols), np.bool_))
-        transform = self.transform * Affine.translation(first_col, first_row)
+        transform = self.transform @ Affine.translation(first_col, first_row)
         return RasterView(self.view.part(row, col, rows, cols), self.order, self.crs, transform)
 
 

@@ -53,8 +53,9 @@ def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
         crs = CRS.from_user_input(dataset.crs.to_wkt())
     except (CRSError, RasterioError):
         raise SourceError(source, "a CRS that PROJ does not understand", "a raster with a CRS") from None
-    if crs.is_geocentric or crs.is_vertical or not crs.axis_info or crs.type_name == "Geodetic CRS":
-        raise SourceError(source, crs.name, "a projected, geographic or engineering CRS")
+    first_axis = crs.axis_info[0].name.lower() if crs.axis_info else ""
+    if crs.is_geocentric or crs.type_name == "Vertical CRS" or not first_axis or "planetocentric" in first_axis:
+        raise SourceError(source, crs.name, "a projected, geographic or engineering CRS, of geodetic latitudes")
     if gt.is_identity and not crs.is_engineering:
         raise SourceError(source, "not georeferenced", "a raster with a geotransform")
     check_cells(source, dataset)

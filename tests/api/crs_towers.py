@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import numpy as np
+import pytest
 import rasterio
 from affine import Affine
 from pyproj import CRS, Geod, Transformer
+from rasterio.errors import NotGeoreferencedWarning
 
 from api.layers import MASK_LIT, MASK_SHADOW
 from api.shade import raster_view, write_shade
@@ -41,8 +44,10 @@ def plain_with_tower() -> np.ndarray:
     return heights
 
 
-def write_plain(path: Path, crs: CRS, lon: float, lat: float, places: CRS = PLACES, geod: Geod = WGS84) -> Affine:
-    """Write the plain round a place, in GDAL's order and directions of a CRS's axes, cells of about ``CELL_M``."""
+def write_plain(path: Path, crs: CRS, lon: float, lat: float, places: CRS = PLACES, geod: Geod = WGS84) -> None:
+    """Write the plain round a place as a VRT, in GDAL's order and directions of a CRS's axes, cells of about ``CELL_M``: a GeoTIFF
+    does not keep all axes.
+    """
     to_crs = Transformer.from_crs(places, crs, always_xy=True)
     x, y = to_crs.transform(lon, lat)
     step = 1e-4 * (100.0 if crs.is_projected else 0.1)
@@ -51,11 +56,18 @@ def write_plain(path: Path, crs: CRS, lon: float, lat: float, places: CRS = PLAC
     _, _, metres = geod.inv([lons[0]] * 2, [lats[0]] * 2, lons[1:], lats[1:])
     dx, dy = (step * CELL_M / each for each in metres)
     transform = Affine(dx, 0.0, x - SIDE / 2 * dx, 0.0, -dy, y + SIDE / 2 * dy)
-    with rasterio.open(
-        path, "w", driver="GTiff", height=SIDE, width=SIDE, count=1, dtype="float32", crs=crs.to_wkt(), transform=transform
-    ) as dataset:
+    bare = path.with_suffix(".tif")
+    with (
+        pytest.warns(NotGeoreferencedWarning),
+        rasterio.open(bare, "w", driver="GTiff", height=SIDE, width=SIDE, count=1, dtype="float32") as dataset,
+    ):
         dataset.write(plain_with_tower(), 1)
-    return transform
+    path.write_text(
+        f"<VRTDataset rasterXSize='{SIDE}' rasterYSize='{SIDE}'><SRS>{escape(crs.to_wkt())}</SRS>"
+        f"<GeoTransform>{', '.join(map(repr, transform.to_gdal()))}</GeoTransform><VRTRasterBand dataType='Float32' band='1'>"
+        f"<SimpleSource><SourceFilename relativeToVRT='1'>{bare.name}</SourceFilename><SourceBand>1</SourceBand></SimpleSource>"
+        "</VRTRasterBand></VRTDataset>"
+    )
 
 
 def mask_of(source: Path, output: Path, azimuth: float, altitude: float = ALTITUDE_DEG) -> np.ndarray:
@@ -71,10 +83,12 @@ def mask_of(source: Path, output: Path, azimuth: float, altitude: float = ALTITU
         return made.read(1)
 
 
-def fall_of(mask: np.ndarray, transform: Affine, crs: CRS, azimuth: float, places: CRS = PLACES, geod: Geod = WGS84) -> Fall:
-    """How the tower's shadow falls in a mask whose cells lie in a CRS, in GDAL's order of axes."""
+def fall_of(mask: np.ndarray, source: Path, crs: CRS, azimuth: float, places: CRS = PLACES, geod: Geod = WGS84) -> Fall:
+    """How the tower's shadow falls in a mask of the cells of a raster in a CRS, in GDAL's order of axes."""
+    with rasterio.open(source) as dataset:
+        transform = dataset.transform
     row, col = np.mgrid[:SIDE, :SIDE]
-    x, y = transform * (col + 0.5, row + 0.5)
+    x, y = transform.a * (col + 0.5) + transform.c, transform.e * (row + 0.5) + transform.f
     lon, lat = Transformer.from_crs(crs, places, always_xy=True).transform(x, y)
     middle = SIDE // 2
     bearing, _, away = geod.inv(np.full(lon.shape, lon[middle, middle]), np.full(lon.shape, lat[middle, middle]), lon, lat)
@@ -84,4 +98,5 @@ def fall_of(mask: np.ndarray, transform: Affine, crs: CRS, azimuth: float, place
     if not far.any():
         return Fall(180.0, LENGTH_M, int((mask[rim] != MASK_LIT).sum()))
     off = (bearing[far] - azimuth - 180.0 + 540.0) % 360.0 - 180.0
-    return Fall(float(np.average(off, weights=away[far])), float(away[far].max()) - LENGTH_M, int((mask[rim] != MASK_LIT).sum()))
+    length_off_m = float(away[far].max()) - LENGTH_M - HALF * CELL_M
+    return Fall(float(np.average(off, weights=away[far])), length_off_m, int((mask[rim] != MASK_LIT).sum()))
