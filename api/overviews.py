@@ -22,7 +22,7 @@ from rasterio.windows import Window
 from api.raster_file import check_raster
 from terrain.compiled import compiled
 from terrain.errors import InputError, SourceError
-from terrain.ground.elevation import PLAUSIBLE_M, units_of
+from terrain.ground.elevation import plausible_m, units_of
 from terrain.ground.georeference import crs_of
 from terrain.ground.overview import lacks_overviews, overview_level
 from terrain.level.parts import METRES_PER_UNIT
@@ -132,8 +132,9 @@ def _check(raster: Path, target: Path, dataset: rasterio.DatasetReader, nodata: 
 def _plausible(dataset: rasterio.DatasetReader) -> tuple[float, float]:
     """The least and the greatest value of a cell that is taken for a height."""
     scale, offset = dataset.scales[0], dataset.offsets[0]
-    unit_m = METRES_PER_UNIT[units_of(dataset, crs_of(dataset.name, dataset)) or "m"]
-    low, high = sorted((limit / unit_m - offset) / scale for limit in PLAUSIBLE_M)
+    crs = crs_of(dataset.name, dataset)
+    unit_m = METRES_PER_UNIT[units_of(dataset, crs) or "m"]
+    low, high = sorted((limit / unit_m - offset) / scale for limit in plausible_m(crs))
     return low, high
 
 

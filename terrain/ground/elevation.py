@@ -29,7 +29,7 @@ from rasterio.windows import Window
 from terrain.cache import bytes_of
 from terrain.errors import SourceError
 from terrain.geo.axes import axes_of
-from terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, transformer
+from terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, is_on_earth, transformer
 from terrain.ground.georeference import crs_of
 from terrain.ground.open_raster import dataset_of_heights
 from terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
@@ -42,6 +42,9 @@ FILL_CELLS = 64
 
 PLAUSIBLE_M = (-11500.0, 9500.0)
 """Heights on earth; anything else (infinities, unmarked sentinels such as -32768) is a hole."""
+
+PLAUSIBLE_ELSEWHERE_M = (-32000.0, 32000.0)
+"""Heights on other celestial bodies: Olympus Mons of Mars is 21 km high, the basin Rheasilvia of Vesta 19 km deep."""
 
 READ_BLOCK_CELLS = 1024
 """Side of the blocks by which heights at scattered points are read, so that few points far apart do not load a whole raster."""
@@ -98,7 +101,7 @@ class Elevation:
         self.units: Units | None = units or units_of(dataset, self.crs)
         self._scale = dataset.scales[0] * METRES_PER_UNIT[self.units or "m"] * exaggeration
         self._offset = dataset.offsets[0] * METRES_PER_UNIT[self.units or "m"] * exaggeration
-        self._limits = tuple(v * exaggeration for v in PLAUSIBLE_M) if not self.flat else (-1e6, 1e6)
+        self._limits = tuple(v * exaggeration for v in plausible_m(self.crs))
         self._transform = axes_of(self.crs).affine @ dataset.transform
         self._cell_from_crs = ~self._transform
         x_cell = abs(self._transform.a)
@@ -372,6 +375,13 @@ class Elevation:
     def _settle_resampling(self) -> None:
         """After what was read by nearest cells: averages from here on, unless there was an unmarked sentinel in it."""
         self._resampling = Resampling.nearest if self._unmarked else Resampling.average
+
+
+def plausible_m(crs: CRS) -> tuple[float, float]:
+    """The lowest and the highest height, metres, that ground in a CRS can have; of an engineering CRS nothing is known."""
+    if crs.is_engineering:
+        return -1e6, 1e6
+    return PLAUSIBLE_M if is_on_earth(crs) else PLAUSIBLE_ELSEWHERE_M
 
 
 def units_of(dataset: rasterio.DatasetReader, crs: CRS) -> Units | None:

@@ -223,6 +223,16 @@ def test_ground_bends_as_the_moon_does(tmp_path):
     assert np.median(dip) == pytest.approx(np.degrees(np.arccos(radius_m / (radius_m + 100.0))), rel=0.05)
 
 
+def test_mountains_of_mars_are_no_holes(tmp_path):
+    """Olympus Mons is higher than any ground of the earth."""
+    heights = np.full((20, 20), 21_229.0, np.float32)
+    heights[0, 0] = -32768.0  # a sentinel that the file does not declare
+    scene = opened(write_geotiff(tmp_path / "mars.tif", heights, "IAU_2015:49910", 0.0, 2e5, 1000.0))
+    assert scene.height_range_m == pytest.approx((21_229.0, 21_229.0))
+    assert not np.isfinite(scene.elevation.ground_m(*scene.elevation.xy(0, 0)))
+    assert scene.elevation.ground_m(*scene.elevation.xy(9, 9)) == pytest.approx(21_229.0)
+
+
 # Rasters whose rows do not begin in the north-west.
 
 FLIPS = {
