@@ -58,6 +58,9 @@ MAX_PERSPECTIVE_PX = 4096
 
 UTM_WIDTH_DEG = 18.0
 
+MOST_AWAY_DEG = 0.05
+"""How far a place may lie from itself after a way into a CRS and back: datums differ by some hundred metres."""
+
 PLACES_A_SIDE = 33
 """Places along a side by which it is told whether a map shows anything of a level."""
 
@@ -427,8 +430,18 @@ def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
     try:
         return _world_at(loaded, elevation)
     except ProjError:
-        needed = "a CRS that PROJ can transform into longitude and latitude"
+        needed = "a CRS that PROJ can transform into longitude and latitude, and back"
         raise SourceError(elevation.name, elevation.crs.name, needed) from None
+
+
+def _comes_back(crs: CRS, lon: float, lat: float) -> bool:
+    """Whether a place is the same after a way into a CRS and back: of few CRSs PROJ forgets the prime meridian on one of them."""
+    if is_longitude_latitude(crs):
+        return True
+    there = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
+    again = transformer(crs, LONGITUDE_LATITUDE).transform(*there)
+    away_lon = (again[0] - lon + 180.0) % 360.0 - 180.0
+    return bool(max(abs(away_lon) * np.cos(np.radians(lat)), abs(again[1] - lat)) < MOST_AWAY_DEG)
 
 
 def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:
@@ -449,6 +462,6 @@ def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:
             raise LevelError(f"{loaded.path}: terrain.bounds", bounds, "bounds whose centre lies on the raster")
     else:
         lon, lat = (x, y) if is_longitude_latitude(crs) else transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
-    if not np.isfinite([lon, lat]).all():
-        raise SourceError(elevation.name, crs.name, "a CRS that PROJ can transform into longitude and latitude")
+    if not (np.isfinite([lon, lat]).all() and _comes_back(crs, float(lon), float(lat))):
+        raise SourceError(elevation.name, crs.name, "a CRS that PROJ can transform into longitude and latitude, and back")
     return World(crs, False, float(x), float(y), float(lon), float(np.clip(lat, -90, 90)), metres)

@@ -107,6 +107,17 @@ def middle_of(area: tuple[float, float, float, float] | None) -> tuple[float, fl
     return (lon + 180.0) % 360.0 - 180.0, float(np.clip((south + north) / 2.0, -89.0, 89.0))
 
 
+def place_in(crs: CRS, area: tuple[float, float, float, float] | None) -> tuple[float, float]:
+    """A place of a CRS: the middle of its area of use, or 50 km off its origin where that is off its map. Raises ``ProjError``."""
+    places, place = longitude_latitude_of(crs), middle_of(area)
+    if np.isfinite(Transformer.from_crs(places, crs, always_xy=True).transform(*place)).all():
+        return place
+    lon, lat = Transformer.from_crs(crs, places, always_xy=True).transform(5e4, 5e4)
+    if not np.isfinite([lon, lat]).all():
+        raise ProjError(f"no place of {crs.name} is known")
+    return lon, lat
+
+
 @pytest.mark.long
 @pytest.mark.timeout(4 * 3600)
 @pytest.mark.parametrize("share", range(40))
@@ -120,7 +131,7 @@ def test_no_crs_of_proj_is_wrong_in_silence(tmp_path, share):
             warnings.simplefilter("ignore", FutureWarning)
             crs = CRS.from_user_input(code)
         try:
-            wrong += [f"{code}: {fault}" for fault in faults_of(folder, crs, *middle_of(area))]
+            wrong += [f"{code}: {fault}" for fault in faults_of(folder, crs, *place_in(crs, area))]
             served += 1
         except (ProjError, CRSError):  # PROJ cannot place it itself
             with pytest.raises(SourceError, match=r"needed: (a CRS that PROJ|a projected)"):
@@ -144,6 +155,13 @@ def test_a_crs_without_a_transformation_is_refused(tmp_path):
     other = write_geotiff(tmp_path / "own.tif", plain_with_tower(), "EPSG:3052", 4e5, 7.1e6, 10.0)
     with pytest.raises(SourceError, match="needed: a CRS that PROJ can transform into longitude and latitude"):
         opened(other)
+
+
+def test_a_crs_whose_prime_meridian_proj_forgets_is_refused(tmp_path):
+    """ATIG of France: from its grads of Paris into WGS 84, and not the other way round."""
+    write_plain(tmp_path / "tower.vrt", CRS.from_user_input("IGNF:ATIGG"), 2.25, 46.5)
+    with pytest.raises(SourceError, match="ATIG .*; needed: a CRS that PROJ can transform into longitude and latitude, and back"):
+        opened(tmp_path / "tower.vrt")
 
 
 @pytest.mark.parametrize("code", ["EPSG:5513", "EPSG:4807"])
