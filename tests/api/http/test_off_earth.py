@@ -32,7 +32,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     [
         "tiles/WebMercatorQuad/12/2048/2000.png", "WebMercatorQuad/tilejson.json", "map.png?crs=EPSG:3857", "map.png?bbox=0,0,1,1",
         "WMTSCapabilities.xml", "wms?SERVICE=WMS&REQUEST=GetCapabilities", "lines.json",
-        "snapshot.png?view=map&time=2024-06-21T12:00:00Z", "point?lon=10&lat=20&date=2024-06-21",
+        "snapshot.png?view=map&time=2024-06-21T12:00:00Z", "point?lon=9.91&lat=19.77&date=2024-06-21",
     ],
 )  # fmt: skip
 def test_what_only_the_earth_has_is_refused(client: Client, address: str):
