@@ -62,8 +62,8 @@ def remarks(source: Path | LevelSource) -> list[str]:
     notes += [f"warning: {text}" for text in (*scene.warnings, *objects.warnings)]
     if not is_generated:
         notes.append(f"{elevation.vertical.statement}; if that is wrong, set terrain.units or terrain.positive")
-    if scene.world.flat and not is_generated:
-        notes.append("an engineering CRS is not georeferenced: no web tiles, and the sun by azimuth and altitude only")
+    if scene.world.off_earth is not None and not is_generated:
+        notes.append(f"{scene.world.off_earth}: no web tiles, and the sun by azimuth and altitude only")
     return notes
 
 

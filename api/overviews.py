@@ -22,7 +22,8 @@ from rasterio.windows import Window
 from api.raster_file import check_raster
 from terrain.compiled import compiled
 from terrain.errors import InputError, SourceError
-from terrain.ground.elevation import PLAUSIBLE_M
+from terrain.ground.elevation import plausible_m
+from terrain.ground.georeference import crs_of
 from terrain.ground.open_raster import GTIFF_VERTICAL
 from terrain.ground.overview import lacks_overviews, overview_level
 from terrain.ground.vertical import vertical_axis
@@ -141,7 +142,7 @@ def _plausible(dataset: rasterio.DatasetReader, units: Units | None, positive: P
     """The least and the greatest value of a cell that is taken for a height."""
     scale, offset = dataset.scales[0], dataset.offsets[0]
     unit = vertical_axis(dataset.name, dataset, units, positive).scale
-    low, high = sorted((limit / unit - offset) / scale for limit in PLAUSIBLE_M)
+    low, high = sorted((limit / unit - offset) / scale for limit in plausible_m(crs_of(dataset.name, dataset)))
     return low, high
 
 

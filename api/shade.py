@@ -24,6 +24,7 @@ from api.shade_layers import SHADE_LAYERS
 from selector.select import plan_of_view
 from terrain.errors import MISSING_VALUE, InputError, SourceError
 from terrain.gbuffer.bare_ground import forget_ground_before
+from terrain.geo.axes import axes_of
 from terrain.geo.grid import Grid, MapView, blocks_of, step_at_anchor_m
 from terrain.level.level import spelt
 from terrain.level.parts import SunSpec
@@ -42,27 +43,102 @@ MOST_CELLS = 2.0**40
 """Of a raster that is written."""
 
 
+@dataclass(frozen=True)
+class CellOrder:
+    """How a raster's cells lie in a view of them, whose rows run from west to east, the northern one first.
+
+    Attributes
+    ----------
+    transposed
+        Whether the raster's rows are the view's columns.
+    rows_reversed, cols_reversed
+        Whether the raster's first row, or column, is the last one that the view has.
+    """
+
+    transposed: bool = False
+    rows_reversed: bool = False
+    cols_reversed: bool = False
+
+    def in_raster(self, array: np.ndarray) -> np.ndarray:
+        """Cells (rows, cols, ...) of a view in the raster's order."""
+        cells = array.swapaxes(0, 1) if self.transposed else array
+        return cells[:: -1 if self.rows_reversed else 1, :: -1 if self.cols_reversed else 1]
+
+
+@dataclass(frozen=True, eq=False)
+class RasterView:
+    """The cells of a raster that is made, and the view that shows them.
+
+    Attributes
+    ----------
+    view
+        The cells as a map, in the raster's CRS, x to the east and y to the north.
+    order
+        How the raster's cells lie in it.
+    crs, transform
+        The raster's, in GDAL's order of axes.
+    """
+
+    view: MapView
+    order: CellOrder
+    crs: CRS
+    transform: Affine
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The raster's rows and columns."""
+        shape = self.view.rows, self.view.cols
+        return shape[::-1] if self.order.transposed else shape
+
+    def placed(self, row: int, col: int, array: np.ndarray) -> tuple[int, int, np.ndarray]:
+        """First row and column in the raster, and the array there, of an array (rows, cols, ...) from a cell of the view on."""
+        cells = self.order.in_raster(array)
+        first_row, first_col = (col, row) if self.order.transposed else (row, col)
+        rows, cols = self.shape
+        if self.order.rows_reversed:
+            first_row = rows - first_row - cells.shape[0]
+        if self.order.cols_reversed:
+            first_col = cols - first_col - cells.shape[1]
+        return first_row, first_col, cells
+
+    def part(self, row: int, col: int, rows: int, cols: int) -> RasterView:
+        """Some cells, counted in the view; the offsets may be negative."""
+        first_row, first_col, _ = self.placed(row, col, np.empty((rows, cols), np.bool_))
+        transform = self.transform @ Affine.translation(first_col, first_row)
+        return RasterView(self.view.part(row, col, rows, cols), self.order, self.crs, transform)
+
+    def cells(self, top: int, left: int, rows: int, cols: int) -> RasterView:
+        """Some cells, counted in the raster."""
+        all_rows, all_cols = self.shape
+        if self.order.rows_reversed:
+            top = all_rows - top - rows
+        if self.order.cols_reversed:
+            left = all_cols - left - cols
+        return self.part(left, top, cols, rows) if self.order.transposed else self.part(top, left, rows, cols)
+
+
 def raster_view(
     scene: Scene,
     bounds: Bounds | None = None,
     crs: str | None = None,
     resolution: float | None = None,
     like: Path | RasterCells | None = None,
-) -> MapView:
-    """The cells of a raster of shade, each a node of its grid: those of the level's own raster, or of one that it shall be like;
-    else square ones of a ``resolution`` (default: the raster's) whose sides lie on multiples of it. Raises ``InputError``.
+) -> RasterView:
+    """The cells of a raster of shade: those of the level's own raster, or of one that it shall be like; else square ones of a
+    ``resolution`` (default: the raster's) whose sides lie on multiples of it. Raises ``InputError``.
     """
     if like is not None:
         for name, value in (("bounds", bounds), ("crs", crs), ("resolution", resolution)):
             if value is not None:
                 raise InputError(name, value, f"nothing beside like: the cells are those of {like}")
-        return _like(cells_of_raster(like) if isinstance(like, Path) else like)
+        return _like(scene, cells_of_raster(like) if isinstance(like, Path) else like)
     asked = scene.view("map", bounds, crs)  # checks what was asked
     target = asked.grid.crs if isinstance(asked, MapView) else scene.map_crs
     nothing_asked = crs is None and bounds is None
-    if resolution is None and scene.elevation.upright and (nothing_asked or target == scene.elevation.crs):
+    if resolution is None and (nothing_asked or target == scene.elevation.crs):
         own = _own(scene)
-        return own if bounds is None else _within(own, bounds)
+        if own is not None:
+            return own if bounds is None else _within(own, bounds)
     west, south, east, north = bounds or scene.default_bounds(target)
     if resolution is None:
         cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
@@ -76,13 +152,14 @@ def raster_view(
     col0, row0 = np.floor(west / resolution + 1e-9), np.floor(-north / resolution + 1e-9)
     cols, rows = np.ceil(east / resolution - 1e-9) - col0, np.ceil(-south / resolution - 1e-9) - row0
     grid = Grid(target, resolution / 2.0, -resolution / 2.0, resolution)
-    return MapView(grid, float(row0), float(col0), 1.0, 1.0, int(rows), int(cols))
+    view = MapView(grid, float(row0), float(col0), 1.0, 1.0, int(rows), int(cols))
+    west, _, _, north = view.bounds
+    return RasterView(view, CellOrder(), target, Affine(resolution, 0.0, west, 0.0, -resolution, north))
 
 
-def _own(scene: Scene) -> MapView:
+def _own(scene: Scene) -> RasterView | None:
     elevation = scene.elevation
-    (x0, x1), (y0, y1) = elevation.xy(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
-    return _lattice(elevation.crs, float(x0), float(y0), float(x1 - x0), float(y0 - y1), elevation.rows, elevation.cols)
+    return _view_of(RasterCells(elevation.name, elevation.crs, elevation.geotransform, elevation.rows, elevation.cols))
 
 
 def cells_of_raster(path: Path) -> RasterCells:
@@ -97,12 +174,29 @@ def cells_of_raster(path: Path) -> RasterCells:
     return RasterCells(str(path), CRS.from_user_input(crs.to_wkt()), transform, rows, cols)
 
 
-def _like(cells: RasterCells) -> MapView:
-    transform = cells.transform
-    if transform.b or transform.d or transform.a <= 0 or transform.e >= 0:
-        raise SourceError(cells.name, "a turned grid", "rows from west to east, the northernmost first")
-    west, north = transform.c + transform.a / 2, transform.f + transform.e / 2
-    return _lattice(cells.crs, west, north, transform.a, -transform.e, cells.rows, cells.cols)
+def _like(scene: Scene, cells: RasterCells) -> RasterView:
+    scene.check_crs(cells.name, cells.crs)
+    found = _view_of(cells)
+    if found is None:
+        raise SourceError(cells.name, "a turned grid", "rows and columns along the axes of its CRS")
+    return found
+
+
+def _view_of(cells: RasterCells) -> RasterView | None:
+    """The cells of a raster as a map; ``None`` where its rows and columns do not run along the axes."""
+    gt = axes_of(cells.crs).affine @ cells.transform
+    if gt.b == 0.0 == gt.d and gt.a and gt.e:
+        order, shape = CellOrder(False, gt.e > 0.0, gt.a < 0.0), (cells.rows, cells.cols)
+        right, down = gt.a, gt.e
+    elif gt.a == 0.0 == gt.e and gt.b and gt.d:
+        order, shape = CellOrder(True, gt.b < 0.0, gt.d > 0.0), (cells.cols, cells.rows)
+        right, down = gt.b, gt.d
+    else:
+        return None
+    west = gt.c + min(right * shape[1], 0.0) + abs(right) / 2.0
+    north = gt.f + max(down * shape[0], 0.0) - abs(down) / 2.0
+    view = _lattice(cells.crs, west, north, abs(right), abs(down), *shape)
+    return RasterView(view, order, cells.crs, cells.transform)
 
 
 def _lattice(crs: CRS, x0: float, y0: float, col_step: float, row_step: float, rows: int, cols: int) -> MapView:
@@ -110,28 +204,31 @@ def _lattice(crs: CRS, x0: float, y0: float, col_step: float, row_step: float, r
     if abs(row_step / col_step - 1.0) <= SQUARE:
         return MapView(Grid(crs, x0, y0, col_step), 0.0, 0.0, 1.0, 1.0, rows, cols)
     step = min(col_step, row_step)
-    return MapView(Grid(crs, x0, y0, step), 0.0, 0.0, row_step / step, col_step / step, rows, cols)
+    (row0, down), (col0, right) = _pixels(row_step / step, rows), _pixels(col_step / step, cols)
+    return MapView(Grid(crs, x0 - col0 * step, y0 + row0 * step, step), row0, col0, down, right, rows, cols)
 
 
-def _within(own: MapView, bounds: Bounds) -> MapView:
-    """Those of a view's cells that bounds in its CRS touch."""
+def _pixels(step: float, count: int) -> tuple[float, float]:
+    """The first pixel of an axis, in nodes, and the step of the pixels: no node that the last one lies before is off the raster."""
+    beyond = -(step * (count - 1)) % 1.0
+    return (beyond / 2.0 if beyond > step / 2.0 else 0.0), step
+
+
+def _within(own: RasterView, bounds: Bounds) -> RasterView:
+    """Those of a raster's cells that bounds in its CRS touch."""
     west, south, east, north = bounds
-    grid, (down, right) = own.grid, (own.row_step, own.col_step)
-    rows = (grid.row(north) / down + 0.5 + 1e-9, grid.row(south) / down + 0.5 - 1e-9)
-    cols = (grid.col(west) / right + 0.5 + 1e-9, grid.col(east) / right + 0.5 - 1e-9)
-    (top, bottom), (left, end) = ((int(np.floor(low)), int(np.ceil(high))) for low, high in (rows, cols))
+    view = own.view
+    rows = ((view.grid.row(y) - view.row0) / view.row_step + 0.5 for y in (north, south))
+    cols = ((view.grid.col(x) - view.col0) / view.col_step + 0.5 for x in (west, east))
+    (top, bottom), (left, end) = ((int(np.floor(low + 1e-9)), int(np.ceil(high - 1e-9))) for low, high in (rows, cols))
     return own.part(top, left, bottom - top, end - left)
-
-
-def transform_of(view: MapView) -> Affine:
-    """The geotransform of a view's pixels."""
-    west, _, _, north = view.bounds
-    return Affine(view.grid.step * view.col_step, 0.0, west, 0.0, -view.grid.step * view.row_step, north)
 
 
 @dataclass(frozen=True, eq=False)
 class ShadedBlock:
-    """A part of a layer under the ``sun``-th of some suns: its ``array`` (rows, cols) or (rows, cols, bands) from a cell on."""
+    """A part of a layer under the ``sun``-th of some suns: its ``array`` (rows, cols) or (rows, cols, bands) from a raster's cell
+    on.
+    """
 
     sun: int
     row: int
@@ -140,7 +237,7 @@ class ShadedBlock:
 
 
 def shaded_blocks(
-    scene: Scene, view: MapView, layer: str, suns: Sequence[SunSpec | None], overrides: dict[str, Any]
+    scene: Scene, raster: RasterView, layer: str, suns: Sequence[SunSpec | None], overrides: dict[str, Any]
 ) -> tuple[int, Iterator[ShadedBlock]]:
     """How many blocks a layer of a map under each of some suns (``None``: the level's own) has, and these, one after the other.
 
@@ -150,6 +247,7 @@ def shaded_blocks(
         raise InputError("layer", layer, ", ".join(SHADE_LAYERS))
     if scene.sun is None and None in suns:
         raise InputError("time", MISSING_VALUE, "a time, or an azimuth and an altitude: the level has no sun")
+    view = raster.view
     blocks, scenes = blocks_of(view), [scene.with_sun(sun) for sun in suns]
     device = calibration_for(scene.loaded.level.shadows, overrides)
     middle = blocks[len(blocks) // 2][0]
@@ -159,7 +257,8 @@ def shaded_blocks(
         for block, row, col in blocks:
             inside = slice(max(-row, 0), view.rows - row), slice(max(-col, 0), view.cols - col)
             for sun, (seen, plan) in enumerate(zip(scenes, plans, strict=True)):
-                yield ShadedBlock(sun, max(row, 0), max(col, 0), SHADE_LAYERS[layer].make(seen, block, plan)[inside])
+                array = SHADE_LAYERS[layer].make(seen, block, plan)[inside]
+                yield ShadedBlock(sun, *raster.placed(max(row, 0), max(col, 0), array))
             forget_ground_before(1)
 
     return len(blocks) * len(scenes), made()
@@ -167,7 +266,7 @@ def shaded_blocks(
 
 def write_shade(
     scene: Scene,
-    view: MapView,
+    raster: RasterView,
     layer: str,
     suns: Sequence[SunSpec | None],
     paths: Sequence[Path],
@@ -177,13 +276,13 @@ def write_shade(
     """Write a layer of a map under each of some suns into a file of its own. ``on_block(done, total)`` is called after each block
     under each sun. Raises as ``shaded_blocks``, and ``OSError``.
     """
-    total, blocks = shaded_blocks(scene, view, layer, suns, overrides)
-    made, transform = SHADE_LAYERS[layer], transform_of(view)
+    total, blocks = shaded_blocks(scene, raster, layer, suns, overrides)
+    made = SHADE_LAYERS[layer]
     notes = [shade_notes(scene.with_sun(sun), layer, overrides) for sun in suns]
     with ExitStack() as stack:
         files: list[RasterFile] = [
             stack.enter_context(
-                cog(path, view.grid.crs, transform, (view.rows, view.cols), made.bands, made.dtype, made.nodata, made.smooth, note)
+                cog(path, raster.crs, raster.transform, raster.shape, made.bands, made.dtype, made.nodata, made.smooth, note)
             )
             for path, note in zip(paths, notes, strict=True)
         ]
@@ -211,11 +310,11 @@ def shade_notes(scene: Scene, layer: str, overrides: dict[str, Any]) -> RasterNo
     return RasterNotes(f"{layer}: {made.about}", made.band_names, "1" if layer in ("visibility", "cosi") else "", tags)
 
 
-def shade_array(scene: Scene, view: MapView, layer: str, sun: SunSpec | None, overrides: dict[str, Any]) -> np.ndarray:
+def shade_array(scene: Scene, raster: RasterView, layer: str, sun: SunSpec | None, overrides: dict[str, Any]) -> np.ndarray:
     """A layer of a map as one array (rows, cols) or (rows, cols, 4). Raises as ``shaded_blocks``."""
-    _, blocks = shaded_blocks(scene, view, layer, [sun], overrides)
+    _, blocks = shaded_blocks(scene, raster, layer, [sun], overrides)
     made = SHADE_LAYERS[layer]
-    out = np.empty((view.rows, view.cols, *([made.bands] if made.bands > 1 else [])), made.dtype)
+    out = np.empty((*raster.shape, *([made.bands] if made.bands > 1 else [])), made.dtype)
     for block in blocks:
         rows, cols = block.array.shape[:2]
         out[block.row : block.row + rows, block.col : block.col + cols] = block.array

@@ -11,7 +11,7 @@ import numpy as np
 from api.contour_lines import write_contours
 from api.device_calibration import calibration_for
 from api.raster_file import RasterNotes, cog
-from api.shade import transform_of
+from api.shade import RasterView
 from api.sun_quantities import QUANTITIES, QUANTITY_NOTES
 from selector.select import plan_of_view
 from shadows.plan import Plan
@@ -36,7 +36,7 @@ LEAST_BLOCK_NODES = 64
 
 def write_sun_hours(
     scene: Scene,
-    view: MapView,
+    raster: RasterView,
     windows: Sequence[DailyWindow],
     rules: SunRules,
     paths: dict[str, Path],
@@ -44,7 +44,7 @@ def write_sun_hours(
     contours: tuple[Path, Sequence[float]] | None = None,
     clock: str = "solar",
 ) -> None:
-    """Write some quantities of a map's cells, by name, into a file each; and ``contours`` of the first, a file and values.
+    """Write some quantities of a raster's cells, by name, into a file each; and ``contours`` of the first, a file and values.
     The files say what sun they count, and name the windows' ``clock``.
     ``on_block(done, total)`` is called after each block of each date. Raises ``SkuggaError`` and ``OSError``.
     """
@@ -52,16 +52,16 @@ def write_sun_hours(
         if name not in QUANTITIES:
             raise InputError("quantity", name, ", ".join(QUANTITIES))
     days = window_suns(scene.world, windows)
-    transform, shape = transform_of(view), (view.rows, view.cols)
+    view = raster.view
     blocks, plan_of = sun_blocks(scene, view), _plans(scene)
     with ExitStack() as stack:
         files = {
             name: stack.enter_context(
                 cog(
                     path,
-                    view.grid.crs,
-                    transform,
-                    shape,
+                    raster.crs,
+                    raster.transform,
+                    raster.shape,
                     1,
                     "float32",
                     float("nan"),
@@ -84,7 +84,7 @@ def write_sun_hours(
             found = sun_hours(scene, block, days, rules, plan_of(block), on_day)
             inside = slice(max(-row, 0), view.rows - row), slice(max(-col, 0), view.cols - col)
             for name, file in files.items():
-                file.write(max(row, 0), max(col, 0), QUANTITIES[name](found)[inside])
+                file.write(*raster.placed(max(row, 0), max(col, 0), QUANTITIES[name](found)[inside]))
     if contours is not None:
         write_contours(next(iter(paths.values())), contours[1], contours[0])
     if on_block is not None:
@@ -106,11 +106,11 @@ def sun_hours_notes(scene: Scene, quantity: str, windows: Sequence[DailyWindow],
     return RasterNotes(f"{quantity}: {about}", (about,), unit, tags)
 
 
-def sun_hours_array(scene: Scene, view: MapView, windows: Sequence[DailyWindow], rules: SunRules, quantity: str) -> np.ndarray:
-    """A quantity of a map's cells, by name: float32 (rows, cols). Raises ``SkuggaError``."""
+def sun_hours_array(scene: Scene, raster: RasterView, windows: Sequence[DailyWindow], rules: SunRules, quantity: str) -> np.ndarray:
+    """A quantity of a raster's cells, by name: float32 (rows, cols). Raises ``SkuggaError``."""
     if quantity not in QUANTITIES:
         raise InputError("quantity", quantity, ", ".join(QUANTITIES))
-    days, plan_of = window_suns(scene.world, windows), _plans(scene)
+    days, plan_of, view = window_suns(scene.world, windows), _plans(scene), raster.view
     out = np.full((view.rows, view.cols), np.nan, np.float32)
     for block, row, col in sun_blocks(scene, view):
         found = QUANTITIES[quantity](sun_hours(scene, block, days, rules, plan_of(block)))
@@ -118,7 +118,7 @@ def sun_hours_array(scene: Scene, view: MapView, windows: Sequence[DailyWindow],
         part = found[inside]
         rows, cols = part.shape
         out[max(row, 0) : max(row, 0) + rows, max(col, 0) : max(col, 0) + cols] = part
-    return out
+    return raster.order.in_raster(out)
 
 
 def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:

@@ -161,7 +161,7 @@ def shaded(raster: Path, side_km: float) -> dict[str, float]:
     scene = build_scene(load_level(raster)).with_sun(SUN)
     half = side_km * 500.0
     view = raster_view(scene, (MIDDLE_XY[0] - half, MIDDLE_XY[1] - half, MIDDLE_XY[0] + half, MIDDLE_XY[1] + half))
-    blocks = len(blocks_of(view))
+    blocks = len(blocks_of(view.view))
     opened_s = time.perf_counter() - start
     with tempfile.TemporaryDirectory() as folder:
         start, times = time.perf_counter(), []
@@ -169,7 +169,7 @@ def shaded(raster: Path, side_km: float) -> dict[str, float]:
         written_s = time.perf_counter() - start
     every = np.diff(times[1:])
     return {
-        "cells": view.rows * view.cols, "blocks": blocks, "open_s": opened_s, "all_s": written_s,
+        "cells": int(np.prod(view.shape)), "blocks": blocks, "open_s": opened_s, "all_s": written_s,
         "block_s": float(np.median(every)), "peak_mib": status_mib("VmHWM"),
     }  # fmt: skip
 
@@ -201,7 +201,7 @@ def far_shadow(raster: Path) -> dict[str, str]:
     for zoom in range(served.first, served.last + 1):
         grid = tile_grid(matrix_sets.get(MERCATOR_SET), zoom)
         found[f"zoom {zoom}"] = _shadow_end(scene, grid, far)
-    own = raster_view(scene, (x, y - 1.0, x + 1.0, y))
+    own = raster_view(scene, (x, y - 1.0, x + 1.0, y)).view
     found["shade"] = _shadow_end(scene, own.grid, far)
     return found
 

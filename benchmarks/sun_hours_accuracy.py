@@ -135,7 +135,7 @@ def _wrong(found_min: np.ndarray, true_min: np.ndarray) -> WrongMinutes:
 def rows_of(kind: str, path: Path, day: date, steps: list[float | None], cells: int) -> Iterator[AccuracyRow]:
     """The figures of a raster, at each step."""
     scene = build_scene(load_level(path))
-    view = raster_view(scene).as_nodes()
+    view = raster_view(scene).view.as_nodes()
     known = binary_erosion(bare_nodes(scene, view, 1).shown, iterations=OFF_HOLES)
     row, col = np.nonzero(known)
     some = np.random.default_rng(1).choice(len(row), min(cells, len(row)), replace=False)
@@ -166,7 +166,7 @@ def print_seconds(day: date, steps: list[float | None]) -> None:
     """The seconds for 2048 x 2048 cells, the second time, when loops are compiled and heights read."""
     with tempfile.TemporaryDirectory() as folder:
         scene = build_scene(load_level(mountain_raster(Path(folder), 2048)))
-        view, its_day = raster_view(scene).as_nodes(), _day(scene, day)
+        view, its_day = raster_view(scene).view.as_nodes(), _day(scene, day)
         _answers(scene, view, its_day, 60.0)
         for step in steps:
             begin = time.perf_counter(), time.process_time()

@@ -15,10 +15,19 @@ from pyproj.exceptions import CRSError, ProjError
 
 from terrain.cache import MIB, cached, clear_scene_caches
 from terrain.errors import InputError, LevelError, SourceError
+from terrain.geo.axes import axes_of, check_axes
 from terrain.geo.camera import PerspectiveView, look_at
 from terrain.geo.grid import Grid, MapView, map_view
 from terrain.geo.sun import Sun, position_at, sun_of
-from terrain.geo.world import LONGITUDE_LATITUDE, LocalFrame, World, transformer
+from terrain.geo.world import (
+    LONGITUDE_LATITUDE,
+    LocalFrame,
+    World,
+    is_longitude_latitude,
+    is_on_earth,
+    longitude_latitude_of,
+    transformer,
+)
 from terrain.ground.elevation import Elevation
 from terrain.ground.geolocate import Geolocator
 from terrain.ground.raster_warnings import raster_warnings
@@ -42,6 +51,9 @@ MAX_PERSPECTIVE_PX = 4096
 """Longest side of a perspective view."""
 
 UTM_WIDTH_DEG = 18.0
+
+MOST_AWAY_DEG = 0.05
+"""How far a place may lie from itself after a way into a CRS and back: datums differ by some hundred metres."""
 
 PLACES_A_SIDE = 33
 """Places along a side by which it is told whether a map shows anything of a level."""
@@ -194,13 +206,17 @@ class Scene:
     def map_crs(self) -> CRS:
         """The CRS of map views that name none: the source's if it is projected or engineering, else its UTM zone.
 
-        A level wider than ``UTM_WIDTH_DEG``, which no zone holds, stays in longitude and latitude.
+        A level wider than ``UTM_WIDTH_DEG``, which no zone holds, stays in longitude and latitude, and so does one of another
+        celestial body. A CRS whose axes do not run east and north is none of maps.
         """
-        if self.world.flat or self.elevation.crs.is_projected:
-            return self.elevation.crs
+        own = self.elevation.crs
+        if self.world.flat or (own.is_projected and axes_of(own).are_standard):
+            return own
+        if not self.world.on_earth:
+            return own if axes_of(own).are_standard else longitude_latitude_of(own)
         west, _, east, _ = self.bounds_lon_lat or (0.0, 0.0, 0.0, 0.0)
         if east - west > UTM_WIDTH_DEG:
-            return self.elevation.crs
+            return own if own.is_geographic and axes_of(own).are_standard else LONGITUDE_LATITUDE
         lon = (self.world.anchor_lon_deg + 180.0) % 360.0 - 180.0
         lat = self.world.anchor_lat_deg
         if not -80.0 <= lat <= 84.0:
@@ -302,7 +318,24 @@ class Scene:
             raise InputError("crs", text, f"only the level's own engineering CRS '{self.world.crs.name}'")
         if not (crs.is_projected or crs.is_geographic or crs.is_engineering):
             raise InputError("crs", text, "a projected or geographic CRS")
+        check_axes("crs", crs)
+        self.check_crs("crs", crs, text)
         return crs
+
+    def check_crs(self, name: str, crs: CRS, text: str | None = None) -> None:
+        """Raise ``InputError``, naming a parameter, for a CRS of another celestial body than the level's, and for one that PROJ
+        cannot transform the level's into.
+        """
+        own = self.elevation.crs
+        if crs == own:
+            return
+        try:
+            if not self.world.flat and is_on_earth(crs) == self.world.on_earth:
+                transformer(own, crs), transformer(crs, LONGITUDE_LATITUDE)
+                return
+        except ProjError:
+            pass
+        raise InputError(name, text or crs.name, f"a CRS that PROJ can transform the level's into, '{own.name}'")
 
     def default_bounds(self, crs: CRS) -> tuple[float, float, float, float]:
         """West, south, east, north in a CRS of what is looked at. Raises ``InputError``."""
@@ -375,6 +408,24 @@ def _utm_zone(lon_deg: float, lat_deg: float) -> CRS:
 
 
 def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
+    try:
+        return _world_at(loaded, elevation)
+    except ProjError:
+        needed = "a CRS that PROJ can transform into longitude and latitude, and back"
+        raise SourceError(elevation.name, elevation.crs.name, needed) from None
+
+
+def _comes_back(crs: CRS, lon: float, lat: float) -> bool:
+    """Whether a place is the same after a way into a CRS and back: of few CRSs PROJ forgets the prime meridian on one of them."""
+    if is_longitude_latitude(crs):
+        return True
+    there = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
+    again = transformer(crs, LONGITUDE_LATITUDE).transform(*there)
+    away_lon = (again[0] - lon + 180.0) % 360.0 - 180.0
+    return bool(max(abs(away_lon) * np.cos(np.radians(lat)), abs(again[1] - lat)) < MOST_AWAY_DEG)
+
+
+def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:
     crs, bounds = elevation.crs, loaded.level.terrain.bounds
     x, y = (float(v) for v in elevation.xy((elevation.rows - 1) / 2, (elevation.cols - 1) / 2))
     unit = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0
@@ -391,7 +442,7 @@ def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
         if not inside:
             raise LevelError(f"{loaded.path}: terrain.bounds", bounds, "bounds whose centre lies on the raster")
     else:
-        lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y) if not crs.is_geographic else (x, y)
-    if not np.isfinite([lon, lat]).all():
-        raise SourceError(elevation.name, crs.name, "a CRS that PROJ can transform into longitude and latitude")
+        lon, lat = (x, y) if is_longitude_latitude(crs) else transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
+    if not (np.isfinite([lon, lat]).all() and _comes_back(crs, float(lon), float(lat))):
+        raise SourceError(elevation.name, crs.name, "a CRS that PROJ can transform into longitude and latitude, and back")
     return World(crs, False, float(x), float(y), float(lon), float(np.clip(lat, -90, 90)), metres)

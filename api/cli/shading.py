@@ -49,11 +49,11 @@ def shade_level(
         need(MAPS_OF_CASTERS)
     say_warnings(scene)
     try:
-        view = raster_view(scene, bounds, crs, resolution, like)
+        raster = raster_view(scene, bounds, crs, resolution, like)
         if None in suns:
             say_own_sun(scene, is_invented=loaded.level.sun is None)
-        write_shade(scene, view, layer, suns, paths, overrides, on_block)
-        say_written(paths, f"{layer}, {SHADE_LAYERS[layer].about}", view)
+        write_shade(scene, raster, layer, suns, paths, overrides, on_block)
+        say_written(paths, f"{layer}, {SHADE_LAYERS[layer].about}", raster)
     finally:
         scene.close()
     return paths

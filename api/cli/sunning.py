@@ -54,10 +54,10 @@ def write_sun_level(
     say_warnings(scene)
     try:
         windows = windows_asked(scene.world, first, last, every.days, readings, known_clock)
-        view = raster_view(scene, *where)
-        write_sun_hours(scene, view, windows, rules, {quantity: output}, on_block, lines, clock)
+        raster = raster_view(scene, *where)
+        write_sun_hours(scene, raster, windows, rules, {quantity: output}, on_block, lines, clock)
         about, unit = QUANTITY_NOTES[quantity]
-        say_written([output], f"{about} ({unit})", view)
+        say_written([output], f"{about} ({unit})", raster)
     finally:
         scene.close()
 

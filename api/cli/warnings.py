@@ -5,12 +5,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from terrain.errors import printable
-from terrain.geo.grid import MapView
 from terrain.scene import Scene
+
+if TYPE_CHECKING:
+    from api.shade import RasterView
 
 
 def say_warnings(scene: Scene, with_objects: bool = True) -> None:
@@ -31,9 +34,10 @@ def say_own_sun(scene: Scene, is_invented: bool = False) -> None:
         typer.echo(printable(f"skugga: {said}"), err=True)
 
 
-def say_written(paths: Sequence[Path], what: str, view: MapView) -> None:
+def say_written(paths: Sequence[Path], what: str, raster: RasterView) -> None:
     """On a terminal, what was written, one line for all files."""
     if sys.stderr.isatty():
         names = str(paths[0]) if len(paths) == 1 else f"{len(paths)} files, {paths[0]} to {paths[-1].name}"
-        said = f"wrote {names}: {what}, {view.cols} x {view.rows} cells, {view.grid.crs.name}"
+        rows, cols = raster.shape
+        said = f"wrote {names}: {what}, {cols} x {rows} cells, {raster.crs.name}"
         typer.echo(printable(f"skugga: {said}"), err=True)

@@ -12,6 +12,7 @@ from api.http.numbers import decimal_in
 from api.http.served_levels import ServedLevel
 from terrain.cache import MIB, cached
 from terrain.errors import InputError, UnsupportedError
+from terrain.geo.axes import check_axes
 from terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from terrain.scene import MAX_PERSPECTIVE_PX
 
@@ -49,6 +50,7 @@ def crs_of_code(code: str) -> CRS:
         raise InputError("crs", code, CRS_WORDS) from None
     if not (crs.is_projected or crs.is_geographic):
         raise InputError("crs", code, CRS_WORDS)
+    check_axes("crs", crs)
     return crs
 
 
@@ -74,7 +76,7 @@ def parse_bounds(text: str, name: str = "bbox", swapped: bool = False) -> MapBou
 def bounds_in(level: ServedLevel, crs: CRS) -> MapBounds:
     """What is looked at of a level, in a CRS. Raises ``InputError`` where the CRS does not hold it, or the world is flat."""
     if level.bounds is None:
-        raise UnsupportedError("level", level.name, "an engineering CRS is not georeferenced: its maps have no CRS and no bbox")
+        raise UnsupportedError("level", level.name, f"{level.world.off_earth}: its maps have no CRS and no bbox")
     try:
         west, south, east, north = transformer(LONGITUDE_LATITUDE, crs).transform_bounds(*level.bounds, densify_pts=21)
     except ProjError:

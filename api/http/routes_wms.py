@@ -130,9 +130,9 @@ async def _answer(request: Request, service: Service, level: str | None) -> Resp
 
 async def _capabilities(request: Request, service: Service, level: str | None) -> Response:
     levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
-    if level is not None and levels[0].world.flat:
-        raise UnsupportedError("level", level, "an engineering CRS is not georeferenced: there is no map of it on earth")
-    on_earth = [each for each in levels if not each.world.flat]
+    if level is not None and (off_earth := levels[0].world.off_earth) is not None:
+        raise UnsupportedError("level", level, f"{off_earth}: there is no map of it on earth")
+    on_earth = [each for each in levels if each.world.off_earth is None]
     base = base_url(request, service.settings.public_url)
     address = f"{base}/wms" if level is None else f"{base}{request.url.path}"
     body = await run_in_threadpool(
@@ -150,8 +150,8 @@ async def _layer(service: Service, asked: KeyValues, key: str) -> tuple[ServedLe
     if layer not in WMS_LAYERS:
         raise NotServedError(key, f"{key}: {layer} is not served by WMS, but as tiles.")
     level = await service.level(level_name)
-    if level.world.flat:
-        raise UnsupportedError(key, name, "an engineering CRS is not georeferenced: there is no map of it on earth")
+    if level.world.off_earth is not None:
+        raise UnsupportedError(key, name, f"{level.world.off_earth}: there is no map of it on earth")
     return level, layer
 
 

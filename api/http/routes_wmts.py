@@ -112,8 +112,8 @@ async def _tile_by_keys(request: Request, service: Service, asked: KeyValues) ->
     place = matrices[matrix], asked.whole("TILECOL"), asked.whole("TILEROW")
     format = format_named(asked.need("FORMAT", "a media type, as image/png"))
     level = await service.level(level_name)
-    if level.world.flat:
-        raise UnsupportedError("LAYER", f"{level_name}:{layer}", "an engineering CRS is not georeferenced, so there are no tiles")
+    if level.world.off_earth is not None:
+        raise UnsupportedError("LAYER", f"{level_name}:{layer}", f"{level.world.off_earth}, so there are no tiles")
     shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLE")
     return await tile_answer(request, service, level_name, matrix_set, place, 1, format, shown)
 
@@ -124,7 +124,8 @@ async def _capabilities(request: Request, service: Service, level: str | None) -
         levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
         on_earth = [each for each in levels if each.zooms]
         if level is not None and not on_earth:
-            raise UnsupportedError("level", level, "an engineering CRS is not georeferenced, so there are no tiles")
+            why = levels[0].world.off_earth or "it lies outside of all maps"
+            raise UnsupportedError("level", level, f"{why}, so there are no tiles")
         base = base_url(request, service.settings.public_url)
         of_all = f"{base}/wmts/{WMTS_VERSION}/WMTSCapabilities.xml"
         address = of_all if level is None else f"{base}/levels/{quote(level)}/WMTSCapabilities.xml"

@@ -77,11 +77,11 @@ class ServedLevel:
     def zooms_in(self, matrix_set: str) -> ZoomRange:
         """The zooms of a tile matrix set.
 
-        Raises ``NotServedError`` for an unknown one or one elsewhere on earth, ``UnsupportedError`` in a flat world.
+        Raises ``NotServedError`` for an unknown one or one elsewhere on earth, ``UnsupportedError`` off the earth.
         """
         matrix_set_of(matrix_set)
-        if self.world.flat:
-            raise UnsupportedError("level", self.name, "an engineering CRS is not georeferenced, so there are no tiles")
+        if self.world.off_earth is not None:
+            raise UnsupportedError("level", self.name, f"{self.world.off_earth}, so there are no tiles")
         if matrix_set not in self.zooms:
             raise NotServedError("tms", f"{self.name} lies outside of {matrix_set}; it has {', '.join(self.zooms)}.")
         return self.zooms[matrix_set]
@@ -320,7 +320,8 @@ def names_in(algorithm: str | dict[str, Any] | None) -> set[str]:
 def _served(
     loaded: LoadedLevel, origin: LevelSource, scene: Scene, files: tuple[Path, ...], stamps: tuple[Stamp, ...]
 ) -> ServedLevel:
-    world, bounds, data_bounds, zooms = scene.world, scene.bounds_lon_lat, None, {}
+    world, data_bounds, zooms = scene.world, None, {}
+    bounds = scene.bounds_lon_lat if world.off_earth is None else None
     if bounds is not None:
         west, south, east, north = transformer(scene.elevation.crs, LONGITUDE_LATITUDE).transform_bounds(
             *scene.elevation.bounds, densify_pts=21

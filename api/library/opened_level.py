@@ -44,7 +44,7 @@ from api.library.memory import check_memory
 from api.library.tile_service import TileService
 from api.point.report import around_point, point_report
 from api.point.values import PointQuery, PointReport
-from api.shade import raster_view, shade_array, transform_of
+from api.shade import RasterView, raster_view, shade_array
 from api.shade_layers import SHADE_LAYERS
 from api.sun_hours import sun_hours_array
 from selector.film import film_frames, frame_moments
@@ -57,7 +57,6 @@ from shadows.sun_hours.sun_hours import SunRules
 from terrain.errors import Fault, InputError
 from terrain.geo.clock import clock_named
 from terrain.geo.daily_windows import readings_of, windows_asked
-from terrain.geo.grid import MapView
 from terrain.level.camera_file import load_camera_path
 from terrain.level.level import load_level, parse_sun
 from terrain.level.level_source import LevelSource, direction_named, units_named
@@ -71,7 +70,10 @@ SMALLER_PART = "a part, as cells=np.s_[:4096, :4096]; or a file: `skugga shade` 
 
 
 class OpenLevel:
-    """A level's scene; its arrays have row 0 in the north. To be closed, or used by ``with``; not to be shared between threads."""
+    """A level's scene. To be closed, or used by ``with``; not to be shared between threads.
+
+    Arrays on its own cells, or on those of another raster, have that raster's order; all others have row 0 in the north.
+    """
 
     def __init__(self, scene: Scene, held: MemoryFile | None = None) -> None:
         self._open: Scene | None = scene
@@ -104,17 +106,17 @@ class OpenLevel:
     @property
     def crs(self) -> CRS:
         """The CRS of its own grid."""
-        return self._own.grid.crs
+        return self._own.crs
 
     @property
     def transform(self) -> Affine:
         """The geotransform of its own grid."""
-        return transform_of(self._own)
+        return self._own.transform
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of its own grid."""
-        return self._own.rows, self._own.cols
+        return self._own.shape
 
     @checked
     def render(
@@ -209,8 +211,8 @@ class OpenLevel:
         if layer not in SHADE_LAYERS:
             raise InputError("layer", layer, ", ".join(SHADE_LAYERS))
         made = SHADE_LAYERS[layer]
-        view = self._view(bounds, crs, resolution, like, cells, np.dtype(made.dtype).itemsize * made.bands)
-        return shade_array(self._scene, view, layer, _sun(time, azimuth, altitude), shadows)
+        raster = self._raster(bounds, crs, resolution, like, cells, np.dtype(made.dtype).itemsize * made.bands)
+        return shade_array(self._scene, raster, layer, _sun(time, azimuth, altitude), shadows)
 
     @checked
     def sun_hours(
@@ -245,8 +247,8 @@ class OpenLevel:
         last = first if to is None else cast(datetime.date, to)
         windows = windows_asked(self._scene.world, first, last, every_days, readings_of(window), clock_named("clock", clock))
         rules = SunRules(step_min, threshold_h, least_altitude, height)
-        view = self._view(bounds, crs, resolution, like, cells, np.dtype(np.float32).itemsize)
-        return sun_hours_array(self._scene, view, windows, rules, quantity)
+        raster = self._raster(bounds, crs, resolution, like, cells, np.dtype(np.float32).itemsize)
+        return sun_hours_array(self._scene, raster, windows, rules, quantity)
 
     @checked
     def point(
@@ -302,7 +304,7 @@ class OpenLevel:
             min_zoom=said["minzoom"], max_native_zoom=said["maxzoom"],
         )  # fmt: skip
 
-    def _view(
+    def _raster(
         self,
         bounds: Bounds | None,
         crs: CRS | None,
@@ -310,10 +312,10 @@ class OpenLevel:
         like: Path | None,
         cells: tuple[slice, slice] | None,
         bytes_a_cell: int,
-    ) -> MapView:
+    ) -> RasterView:
         """The cells of an array that fits into memory."""
         if cells is None:
-            view = raster_view(self._scene, bounds, _named(crs), resolution, like)
+            raster = raster_view(self._scene, bounds, _named(crs), resolution, like)
         else:
             for name, value in (("bounds", bounds), ("crs", crs), ("resolution", resolution), ("like", like)):
                 if value is not None:
@@ -321,9 +323,9 @@ class OpenLevel:
             (top, bottom, _), (left, right, _) = (part.indices(count) for part, count in zip(cells, self.shape, strict=True))
             if top >= bottom or left >= right:
                 raise InputError("cells", cells, f"rows and columns of the level's own {self.shape[0]} x {self.shape[1]}")
-            view = self._own.part(top, left, bottom - top, right - left)
-        check_memory("cells" if resolution is None else "resolution", view.rows, view.cols, bytes_a_cell, SMALLER_PART)
-        return view
+            raster = self._own.cells(top, left, bottom - top, right - left)
+        check_memory("cells" if resolution is None else "resolution", *raster.shape, bytes_a_cell, SMALLER_PART)
+        return raster
 
     def _service(self) -> TileService:
         if self._served is None:

@@ -46,11 +46,12 @@ def sky_picture(
         axes: Any = figure.add_axes((0.07, 0.085, 0.86, 0.80), projection="polar")
         _sky(axes)
         _horizon(axes, horizon)
-        if not around.scene.world.flat:
+        dated = around.scene.world.off_earth is None
+        if dated:
             _paths(axes, around, day, clock)
         figure.text(0.06, 0.98, title, fontsize=12.5, fontweight="bold", color=_INK, va="top")
         figure.text(0.06, 0.951, _subtitle(around, day, clock), fontsize=9.5, color=_INK, va="top")
-        _legend(figure, horizon, around.scene.world.flat)
+        _legend(figure, horizon, not dated)
         file = io.BytesIO()
         figure.savefig(file, format=format, dpi=DOTS_PER_INCH, metadata={"Date": None} if format == "svg" else None)
     return file.getvalue()

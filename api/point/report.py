@@ -18,7 +18,7 @@ from terrain.errors import InputError
 from terrain.geo.sun_path import check_date
 from terrain.scene import Scene
 
-FLAT = "an engineering CRS is not georeferenced: there is no day without longitude and latitude"
+NO_DAY = "there is no day without longitude and latitude on the earth"
 NO_SUN = "the level has no sun of its own: give a time"
 
 
@@ -32,8 +32,8 @@ def point_report(scene: Scene, query: PointQuery, crs: CRS | None = None) -> Poi
     if now is None:
         remarks.append(NO_SUN)
     reported = None
-    if scene.world.flat and query.date is None and query.year is None:
-        remarks.append(FLAT)
+    if (why := scene.world.off_earth) is not None and query.date is None and query.year is None:
+        remarks.append(f"{why}: {NO_DAY}")
     else:
         reported = _reported_day(sun_day(around, day, clock), _clock_name(query, clock))
     year = None if query.year is None else sun_year(around, query.year, clock)

@@ -56,7 +56,7 @@ class SkyFigures(_Figures):
 def sky_figures(around: Surroundings, horizon: PointHorizon, day: date, clock: tzinfo) -> SkyFigures:
     """The figures of a place's sky on a day by a clock. Raises ``InputError`` for years for which no sun is computed."""
     heights = {name: _rounded(np.maximum(getattr(horizon, f"{name}_deg"), 0.0)) for name in ("relief", "solids", "forest")}
-    path = () if around.scene.world.flat else _path(around, day, clock)
+    path = () if around.scene.world.off_earth else _path(around, day, clock)
     return SkyFigures(date=day, horizon=HorizonFigures(azimuth=_rounded(horizon.azimuth_deg), **heights), path=path)
 
 

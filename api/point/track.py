@@ -90,7 +90,7 @@ def sun_at_points(scene: Scene, points: list[TrackPoint], query: PointQuery, hou
             rows.append(PointAnswerRow(None, None, None, str(error)))
             continue
         direct = None
-        if hours and not scene.world.flat:
+        if hours and scene.world.off_earth is None:
             day = day_asked(under, own, around.place.lon_deg)
             direct = hours_between_looks(around, day, clock_asked(under, own, around.place.lon_deg, day))
         rows.append(PointAnswerRow(around.place.ground_m, sun_now(around), direct, None))

@@ -209,8 +209,8 @@ def _renderer_of(table: TaskTable) -> str:
 def _zooms(scene: Scene, asked: ZoomRange | None) -> tuple[ZoomRange, LonLatBounds]:
     """The zooms of a run, and where the level's data lies. Raises ``InputError`` for zooms beyond the data."""
     shown = scene.bounds_lon_lat
-    if shown is None:
-        raise UnsupportedError("LEVEL", scene.loaded.name, "an engineering CRS is not georeferenced, so there are no tiles")
+    if shown is None or scene.world.off_earth is not None:
+        raise UnsupportedError("LEVEL", scene.loaded.name, f"{scene.world.off_earth}, so there are no tiles")
     cell_m, matrix_set = scene.elevation.cell_size_m(scene.world.metres_per_unit), matrix_set_of(MATRIX_SET)
     served, of_ground = (zoom_range(matrix_set, scene.world, shown, detail) for detail in (detail_m(scene), cell_m))
     if served is None or of_ground is None:

@@ -91,7 +91,7 @@ class HoursTruth:
     def astronomy(self) -> np.ndarray:
         """Of NREL's sun with refraction, on the round earth, above the level plane: what Skugga means."""
         scene = build_scene(load_level(self._dem.path))
-        view = raster_view(scene).as_nodes()
+        view = raster_view(scene).view.as_nodes()
         found = ray_truth(scene, view, self.row, self.col, astronomical_day(scene), EVERY_S / 60.0)[0]
         scene.close()
         return found
@@ -100,7 +100,7 @@ class HoursTruth:
     def solar_day(self) -> np.ndarray:
         """Of GRASS's sun without refraction, on the round earth, above the level plane."""
         scene = build_scene(load_level(self._dem.path))
-        view = raster_view(scene).as_nodes()
+        view = raster_view(scene).view.as_nodes()
         rays, frame = CellRays.over(scene, view, self.row, self.col), bare_nodes(scene, view, 1).frame
         azimuth, altitude = r_sun_path(self._dem.lon_lat[1], EVERY_S)
         enu = np.stack([direction_enu(a, h) for a, h in zip(azimuth, altitude, strict=True) if h > -1.0])

@@ -82,7 +82,7 @@ def point(path: str, out: str, x: str, y: str) -> float:
     from terrain.scene import build_scene
 
     scene = build_scene(load_level(Path(path)))
-    crs, view = scene.elevation.crs, raster_view(scene)
+    crs, view = scene.elevation.crs, raster_view(scene).view
     elsewhere = view.grid.x(view.cols / 3.0), view.grid.y(view.rows / 3.0)
     horizon_round(surroundings(scene, place_at(scene, elsewhere, crs)))
     start = time.perf_counter()

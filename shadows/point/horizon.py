@@ -17,7 +17,7 @@ from shadows.point.place import PointPlace
 from shadows.point.solid_sight import Sighting, highest_solids, nearest_solids, nothing_sighted
 from shadows.point.terms import CasterType
 from terrain.gbuffer.tree_instances import tree_instances_in_map
-from terrain.geo.world import WGS84, geodetic
+from terrain.geo.world import geodetic
 from terrain.scene import Scene
 
 HORIZON_DIRECTIONS = 720
@@ -194,7 +194,7 @@ def _ground_caster(place: PointPlace, ground: ReliefHorizon, n: int) -> SunCaste
     azimuth, distance = float(ground.azimuth_deg[n]), float(ground.distance_m[n])
     lon = lat = None
     if place.lon_deg is not None:
-        lon, lat, _ = WGS84.fwd(place.lon_deg, place.lat_deg, azimuth, distance)
+        lon, lat, _ = place.ellipsoid.fwd(place.lon_deg, place.lat_deg, azimuth, distance)
     return SunCaster("relief", distance, azimuth, float(_degrees(ground.tangent[n])), float(ground.height_m[n]), lon, lat)
 
 
@@ -205,7 +205,7 @@ def _object_caster(place: PointPlace, kind: CasterType, azimuth_deg: float, sigh
     lon = lat = None
     height = float(point[2])
     if place.lon_deg is not None:
-        lon, lat, height = (float(v) for v in geodetic(point))
+        lon, lat, height = (float(v) for v in geodetic(point, place.ellipsoid))
     return SunCaster(kind, away, float(azimuth_deg), float(_degrees(sighted.tangent[n])), height, lon, lat)
 
 

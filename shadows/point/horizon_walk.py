@@ -141,7 +141,8 @@ def farthest_m(scene: Scene, place: PointPlace) -> float:
     if scene.world.flat:
         return margin
     low, high = scene.height_range_m
-    seen_m = longest_shadow_m(place.eye_m - low, 0.0) + longest_shadow_m(high - low, 0.0)
+    radius_m = scene.world.radius_m
+    seen_m = sum(longest_shadow_m(rise, 0.0, radius_m=radius_m) for rise in (place.eye_m - low, high - low))
     return min(margin, 1.05 * seen_m + 1000.0)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from pyproj import CRS
+from pyproj import CRS, Geod
 from pyproj.exceptions import ProjError
 
 from shadows.point.relief_pages import PagedRelief, paged_relief
 from shadows.point.terms import HIGHEST_EYE_M
 from terrain.errors import InputError
+from terrain.geo.axes import axes_of
 from terrain.geo.world import LONGITUDE_LATITUDE, transformer
 from terrain.scene import Scene
 
@@ -29,6 +30,8 @@ class PointPlace:
         (Fractional) node of the ground's grid.
     ground_m, height_m
         Height of the ground there, metres, and of the eye above it.
+    ellipsoid
+        What heights and degrees are counted on.
     eye_earth_m
         float64 (3,), the eye, earth-fixed.
     earth_from_enu
@@ -43,6 +46,7 @@ class PointPlace:
     col: float
     ground_m: float
     height_m: float
+    ellipsoid: Geod
     eye_earth_m: np.ndarray
     earth_from_enu: np.ndarray
 
@@ -91,13 +95,17 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
         lon, lat = (float(v) for v in scene.world.lon_lat(ground.grid.crs, np.float64(x), np.float64(y)))
         lon = (lon + 180.0) % 360.0 - 180.0
     axes = scene.world.earth_from_enu(foot, up, lon or 0.0)
-    return PointPlace(float(x), float(y), lon, lat, row, col, ground_m, height_m, foot + (ground_m + height_m) * up, axes)
+    eye = foot + (ground_m + height_m) * up
+    return PointPlace(float(x), float(y), lon, lat, row, col, ground_m, height_m, scene.world.ellipsoid, eye, axes)
 
 
 def _on_grid(scene: Scene, ground: PagedRelief, at: tuple[float, float], crs: CRS | None) -> tuple[float, float]:
     """Coordinates in the CRS of the ground's grid."""
     if scene.world.flat and crs is None:
         return scene.place.xy(at)
+    if crs is not None:
+        east, north = axes_of(crs).xy(*at)
+        at = float(east), float(north)
     if crs == ground.grid.crs:
         return at
     try:

@@ -21,7 +21,7 @@ from shadows.point.relief_pages import PagedRelief
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.geo.grid import Grid
-from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, epsg_of, transformer
+from terrain.geo.world import LONGITUDE_LATITUDE, World, is_longitude_latitude, transformer
 from terrain.ground.elevation import Elevation
 
 FIRST_M, GROWTH = 500.0, 1.125
@@ -106,9 +106,9 @@ def _flat_nodes(
 def _globe_nodes(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
     """Rows and columns (n, k, 2) at distances (k,) towards azimuths (n,); NaN beyond the end of the grid's CRS."""
     azimuth, distance = (v.ravel() for v in np.broadcast_arrays(azimuth_deg[:, None], distance_m))
-    lon, lat, _ = WGS84.fwd(np.full(azimuth.size, place.lon_deg), np.full(azimuth.size, place.lat_deg), azimuth, distance)
+    lon, lat, _ = place.ellipsoid.fwd(np.full(azimuth.size, place.lon_deg), np.full(azimuth.size, place.lat_deg), azimuth, distance)
     x, y = np.asarray(lon), np.asarray(lat)
-    if epsg_of(grid.crs) != 4326:
+    if not is_longitude_latitude(grid.crs):
         x, y = transformer(LONGITUDE_LATITUDE, grid.crs).transform(x, y)
     if grid.crs.is_geographic:
         x = place.x + (x - place.x + 180.0) % 360.0 - 180.0
@@ -122,8 +122,9 @@ def _globe_nodes(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distanc
 def _curvature(place: PointPlace, azimuth_deg: np.ndarray) -> np.ndarray:
     """One over the ellipsoid's radius (n,) in vertical planes."""
     assert place.lat_deg is not None
-    root = 1.0 - WGS84.es * np.sin(np.radians(place.lat_deg)) ** 2
-    meridian, prime_vertical = WGS84.a * (1.0 - WGS84.es) / root**1.5, WGS84.a / root**0.5
+    a, es = place.ellipsoid.a, place.ellipsoid.es
+    root = 1.0 - es * np.sin(np.radians(place.lat_deg)) ** 2
+    meridian, prime_vertical = a * (1.0 - es) / root**1.5, a / root**0.5
     azimuth = np.radians(azimuth_deg)
     return np.cos(azimuth) ** 2 / meridian + np.sin(azimuth) ** 2 / prime_vertical
 

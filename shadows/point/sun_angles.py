@@ -19,10 +19,10 @@ from terrain.scene import Scene
 def sun_directions(world: World, utc_s: np.ndarray) -> np.ndarray:
     """Earth-fixed unit vectors (n, 3) towards the sun, refracted, at seconds since 1970, UTC.
 
-    Raises ``InputError`` in a flat world, and for years for which no sun is computed.
+    Raises ``InputError`` off the earth, and for years for which no sun is computed.
     """
-    if world.flat:
-        raise InputError("time", "a time or a day", "azimuth and altitude: an engineering CRS is not georeferenced")
+    if world.off_earth is not None:
+        raise InputError("time", "a time or a day", f"azimuth and altitude: {world.off_earth}")
     return _directions(world, np.asarray(utc_s, np.float64))
 
 
@@ -30,7 +30,7 @@ def sun_looks(world: World, begin_s: float, end_s: float, step_s: float) -> tupl
     """Seconds (n,) from one moment to another, every so often and at the end, and the sun's directions (n, 3) then; the last ones
     are kept, since all points of a level share them. Raises as ``sun_directions``.
     """
-    if world.flat:
+    if world.off_earth is not None:
         sun_directions(world, np.zeros(0))
     return _looks(world, begin_s, end_s, step_s)
 

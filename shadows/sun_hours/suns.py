@@ -77,9 +77,9 @@ class SunSpan:
 
 
 def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]:
-    """The sun through daily windows. Raises ``UnsupportedError`` in a flat world, ``InputError`` for years that are not known."""
-    if world.flat:
-        raise UnsupportedError("date", str(windows[0].date), "an engineering CRS is not georeferenced: it has no sun of a date")
+    """The sun through daily windows. Raises ``UnsupportedError`` off the earth, ``InputError`` for years that are not known."""
+    if world.off_earth is not None:
+        raise UnsupportedError("date", str(windows[0].date), f"{world.off_earth}: it has no sun of a date")
     days = []
     for window in windows:
         times = np.append(np.arange(0.0, window.minutes, 1.0), window.minutes)

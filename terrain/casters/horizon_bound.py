@@ -30,7 +30,7 @@ from terrain.casters.reach import PATCH_QUADS, Patch, Receivers
 from terrain.compiled import compiled, internal
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.sun import SUN_RADIUS_DEG
-from terrain.geo.world import EARTH_RADIUS_M, World
+from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
 from terrain.ground.extremes import widen
 from terrain.ground.surface import RefinedWindow, Surface, refined_row
@@ -245,7 +245,7 @@ def _in_light(
     in_light[..., 1] = in_light[0 if ground_at == "lowest" else 1, ..., 1]
     bulge = 0.0  # the earth rises above the plane of four corners by half of that at most
     if not scene.world.flat:
-        bulge = (np.linalg.norm(point - point[..., ::-1, :], axis=-1).max(axis=-1) ** 2 / (4.0 * EARTH_RADIUS_M))[..., None]
+        bulge = (np.linalg.norm(point - point[..., ::-1, :], axis=-1).max(axis=-1) ** 2 / (4.0 * scene.world.radius_m))[..., None]
     low, high = in_light.min(axis=(0, 3)) - bulge, in_light.max(axis=(0, 3)) + bulge
     return np.concatenate([low, high], axis=-1).reshape(-1, 8)
 

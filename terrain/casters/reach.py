@@ -24,7 +24,16 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import Grid, MapView
 from terrain.geo.light_space import LightSpace, light_bounds
 from terrain.geo.sun import position_at
-from terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, WGS84, LocalFrame, World, epsg_of, transformer
+from terrain.geo.world import (
+    EARTH_RADIUS_M,
+    LONGITUDE_LATITUDE,
+    WGS84,
+    LocalFrame,
+    World,
+    epsg_of,
+    is_longitude_latitude,
+    transformer,
+)
 from terrain.ground.columns import ColumnWindow, PlacedOnColumns
 from terrain.ground.elevation import Elevation
 from terrain.ground.surface import NodeHeights
@@ -73,14 +82,14 @@ class Patch:
     col: int
 
 
-def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True) -> float:
+def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True, radius_m: float = EARTH_RADIUS_M) -> float:
     """How far ground of a relief throws its shadow: L of H = L tan(a) + L^2 / 2R (no terrestrial refraction), metres."""
     if relief_m <= 0:
         return 0.0
     slope = np.tan(np.radians(max(altitude_deg, 0.0)))
     if not curved:
         return float(relief_m / slope) if slope > 0 else np.inf
-    return float(EARTH_RADIUS_M * (np.sqrt(slope**2 + 2.0 * relief_m / EARTH_RADIUS_M) - slope))
+    return float(radius_m * (np.sqrt(slope**2 + 2.0 * relief_m / radius_m) - slope))
 
 
 STARTS = 64
@@ -334,7 +343,8 @@ def _patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]
     rows, cols = own.shape
     assert scene.light is not None
     known_m = _towards_m(scene, buffer, outside)
-    longest_m = longest_shadow_m(np.ptp(scene.height_range_m), scene.light.altitude_deg, curved=not scene.world.flat)
+    relief_m, altitude_deg = np.ptp(scene.height_range_m), scene.light.altitude_deg
+    longest_m = longest_shadow_m(relief_m, altitude_deg, not scene.world.flat, scene.world.radius_m)
     farthest = min(float(away.max(initial=0.0)), 1.5 * longest_m / scene.surface(grid).step_m) + half.max(initial=0.0)
     patches: list[Patch] = []
     detail = _full_detail_nodes(scene, grid)
@@ -443,7 +453,7 @@ def _data_limit(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float
     else:
         point, up = scene.world.ground(crs, *middle)
         azimuth, altitude = position_at(scene.sun.to_sun_earth, scene.world.earth_from_enu(point, up))
-    should_m = min(longest_shadow_m(relief, altitude, curved=not scene.world.flat), 1e6)
+    should_m = min(longest_shadow_m(relief, altitude, not scene.world.flat, scene.world.radius_m), 1e6)
     along_m = np.linspace(0.0, should_m, 65)
     if scene.world.flat:
         unit = scene.world.metres_per_unit
@@ -453,9 +463,9 @@ def _data_limit(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float
         lon, lat = scene.world.lon_lat(crs, x, y)
         shape = (lon.size, along_m.size)
         lon, lat = (np.broadcast_to(v[:, None], shape).ravel() for v in (lon, lat))
-        lon, lat, _ = WGS84.fwd(lon, lat, np.full(lon.size, azimuth), np.broadcast_to(along_m, shape).ravel())
+        lon, lat, _ = scene.world.ellipsoid.fwd(lon, lat, np.full(lon.size, azimuth), np.broadcast_to(along_m, shape).ravel())
         x, y = np.reshape(lon, shape), np.reshape(lat, shape)
-        if not scene.elevation.crs.is_geographic:
+        if not is_longitude_latitude(scene.elevation.crs):
             x, y = transformer(LONGITUDE_LATITUDE, scene.elevation.crs).transform(x, y)
     on_data = scene.elevation.covers(x, y)
     ends = ~on_data

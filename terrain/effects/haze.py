@@ -111,7 +111,7 @@ def visibility_of(scene: Scene, view: MapView | PerspectiveView) -> float:
         return visibility_m
     if isinstance(view, MapView):
         return CLEAR_AIR_M
-    height_m = float(view.eye_earth_m[2] if scene.world.flat else geodetic(view.eye_earth_m)[2])
+    height_m = float(view.eye_earth_m[2] if scene.world.flat else geodetic(view.eye_earth_m, scene.world.ellipsoid)[2])
     up = max(height_m - scene.height_range_m[0], 1e-3) / SCALE_HEIGHT_M
     return CLEAR_AIR_M * up / -float(np.expm1(-up))
 

@@ -40,7 +40,10 @@ NODES_BESIDE = 4
 
 def called_for(descriptor: Descriptor) -> Verdict:
     """Left out where what ground hides of the sky moves no channel by more than a step."""
-    hidden, steps = descriptor.facts["sky_view"]["hidden"], descriptor.facts["sky_view"]["steps"]
+    facts = descriptor.facts["sky_view"]
+    if not facts:
+        return Verdict(False, "no sky of another celestial body is known")
+    hidden, steps = facts["hidden"], facts["steps"]
     assert isinstance(hidden, float) and isinstance(steps, float)
     if hidden == 0.0:
         return Verdict(False, "open sky: no ground rises above the ground in view")
@@ -50,8 +53,10 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
     """``hidden``: the largest share of the sky that ground hides from any of it that a map shows (as its pixels do) or where a view
-    looks; ``steps``: by how many steps of 255 that darkens the brightest ground in shadow.
+    looks; ``steps``: by how many steps of 255 that darkens the brightest ground in shadow. Nothing off the earth.
     """
+    if not scene.world.on_earth:
+        return {}
     low, high = scene.height_range_m
     if high <= low:
         return {"hidden": 0.0, "steps": 0.0}

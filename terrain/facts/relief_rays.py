@@ -14,7 +14,7 @@ import numpy as np
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled
 from terrain.facts.probes import ProbeRays, Probes
-from terrain.geo.world import EARTH_RADIUS_M, LocalFrame, World
+from terrain.geo.world import LocalFrame, World
 from terrain.ground.elevation import Elevation
 
 SKIP_BLOCK_CELLS = 16
@@ -90,7 +90,7 @@ def _hidden(world: World, elevation: Elevation, at: OverviewProbes, beside: np.n
         return np.einsum("kij,ij->ki", a, b)
 
     rise = dot(along, at.up)
-    bend = 0.0 if world.flat else 1.0 / (2.0 * EARTH_RADIUS_M)
+    bend = world.curvature / 2.0
     return _blocked(
         heights, tops, tops.max(), SKIP_BLOCK_CELLS,
         at.row + dot(beside, at.row_from_frame), at.col + dot(beside, at.col_from_frame),

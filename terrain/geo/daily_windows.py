@@ -91,15 +91,15 @@ def readings_of(text: str) -> tuple[float, float]:
 def windows_asked(
     world: World, first: date, last: date, every_days: int, readings: tuple[float, float], clock: Clock
 ) -> list[DailyWindow]:
-    """The windows of the dates from one to another, so many days apart. Raises ``InputError``, also in a flat world.
+    """The windows of the dates from one to another, so many days apart. Raises ``InputError``, also off the earth.
 
     The first and the last date must be there; between them those without a window by this clock are left out.
     """
     days = dates_of(first, last, every_days)
     if len(days) > MOST_DATES:
         raise InputError("to", last.isoformat(), f"at most {MOST_DATES} dates; these are {len(days)}")
-    if world.flat:
-        raise InputError("date", first.isoformat(), "no date: an engineering CRS is not georeferenced, and has no sun of a date")
+    if world.off_earth is not None:
+        raise InputError("date", first.isoformat(), f"no date: {world.off_earth}, and has no sun of a date")
     if not isinstance(clock, str):
         for name, day in (("date", first), ("to", last)):
             day_ends(day, clock, name)

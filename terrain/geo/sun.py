@@ -48,14 +48,14 @@ class Sun:
 def sun_of(spec: SunSpec, world: World) -> Sun:
     """The sun of a level or a query. Raises ``InputError``.
 
-    A time needs a place on the globe: in a flat world only angles have a meaning.
+    A time needs a place on the earth: in a flat world, and on another celestial body, only angles have a meaning.
     """
     lift = 0.0
     if spec.time is None:
         assert spec.azimuth is not None and spec.altitude is not None
         azimuth, altitude = spec.azimuth % 360.0, spec.altitude
-    elif world.flat:
-        raise InputError("time", spec.time.isoformat(), "azimuth and altitude: an engineering CRS is not georeferenced")
+    elif world.off_earth is not None:
+        raise InputError("time", spec.time.isoformat(), f"azimuth and altitude: {world.off_earth}")
     else:
         azimuth, altitude, lift = apparent_position(spec.time, world.anchor_lon_deg, world.anchor_lat_deg)
     to_sun = world.earth_from_anchor @ direction_enu(azimuth, altitude)

@@ -14,7 +14,8 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from terrain.errors import SourceError
-from terrain.geo.world import transformer
+from terrain.geo.axes import axes_of
+from terrain.geo.world import AxesTransformer, transformer
 from terrain.level.data_files import check_geodata
 from terrain.level.linked_files import is_remote
 
@@ -186,6 +187,9 @@ def read_features(
     if shapely.is_empty(geometry).all():
         raise SourceError(source, "no feature with a geometry", "points or polygons")
     own = _crs(source, meta["crs"], crs)
+    axes = axes_of(own)
+    if not axes.are_standard:
+        geometry[:] = shapely.transform(geometry, axes.xy, interleaved=False)
     _check_places(features, own, crs, *shapely.get_coordinates(geometry, return_index=True))
     _check_holes(features)
     # Mended before, since long edges are divided rightly in valid polygons alone, and after, since a projection may fold them.
@@ -227,7 +231,7 @@ def numbers(features: Features, attribute: str, number_of: Callable[[str], float
     return result
 
 
-def between(source: str, own: CRS, crs: CRS, back: bool = False) -> Transformer:
+def between(source: str, own: CRS, crs: CRS, back: bool = False) -> Transformer | AxesTransformer:
     """The transformation from a file's own CRS to another one, or ``back``. Raises ``SourceError`` where there is none."""
     try:
         return transformer(crs, own) if back else transformer(own, crs)

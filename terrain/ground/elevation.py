@@ -17,6 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from affine import Affine
+from pyproj import CRS
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.fill import fillnodata
@@ -25,7 +27,8 @@ from rasterio.windows import Window
 
 from terrain.cache import bytes_of
 from terrain.errors import SourceError
-from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
+from terrain.geo.axes import axes_of
+from terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, is_on_earth, transformer
 from terrain.ground.georeference import crs_of
 from terrain.ground.open_raster import dataset_of_heights, impossible_nodata
 from terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
@@ -41,6 +44,9 @@ FILL_CELLS = 64
 
 PLAUSIBLE_M = (-11500.0, 9500.0)
 """Heights on earth; anything else (infinities, unmarked sentinels such as -32768) is a hole."""
+
+PLAUSIBLE_ELSEWHERE_M = (-32000.0, 32000.0)
+"""Heights on other celestial bodies: Olympus Mons of Mars is 21 km high, the basin Rheasilvia of Vesta 19 km deep."""
 
 READ_BLOCK_CELLS = 1024
 """Side of the blocks by which heights at scattered points are read, so that few points far apart do not load a whole raster."""
@@ -94,9 +100,10 @@ class Elevation:
         self.vertical = vertical_axis(source, dataset, units, positive)
         self._scale = dataset.scales[0] * self.vertical.scale * exaggeration
         self._offset = dataset.offsets[0] * self.vertical.scale * exaggeration
-        self._limits = tuple(v * exaggeration for v in PLAUSIBLE_M) if not self.flat else (-1e6, 1e6)
-        self._cell_from_crs = ~dataset.transform
-        x_cell = abs(dataset.transform.a)
+        self._limits = tuple(v * exaggeration for v in plausible_m(self.crs))
+        self._transform = axes_of(self.crs).affine @ dataset.transform
+        self._cell_from_crs = ~self._transform
+        x_cell = abs(self._transform.a)
         self._wrap = round(360.0 / x_cell) if self.crs.is_geographic and x_cell * self.cols > 360.0 - 1.5 * x_cell else 0
         self._resampling, self._settled, self.unmarked = Resampling.nearest, False, UnmarkedCells()
         self.overview = self._read_overview()
@@ -120,15 +127,20 @@ class Elevation:
     @property
     def square_cell(self) -> float | None:
         """The side of a cell in CRS units; ``None`` where cells are not square or rows do not run from north to south."""
-        gt = self._dataset.transform
+        gt = self._transform
         square = gt.b == 0 and gt.d == 0 and gt.a > 0 and abs(gt.a + gt.e) <= 1e-9 * gt.a
         return float(gt.a) if square else None
 
     @property
     def upright(self) -> bool:
         """Whether rows run from west to east, the northern one first."""
-        gt = self._dataset.transform
+        gt = self._transform
         return bool(gt.b == 0 and gt.d == 0 and gt.a > 0 and gt.e < 0)
+
+    @property
+    def geotransform(self) -> Affine:
+        """The geotransform that the file states, in GDAL's order and directions of axes."""
+        return self._dataset.transform
 
     @property
     def nbytes(self) -> int:
@@ -164,13 +176,13 @@ class Elevation:
         self._dataset.close()
 
     def xy(self, row: np.ndarray | float, col: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates in the raster's CRS of (fractional) cells."""
-        gt, row, col = self._dataset.transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
+        """Coordinates in the raster's CRS of (fractional) cells, x to the east and y to the north (``terrain.geo.axes``)."""
+        gt, row, col = self._transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
         return gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
 
     def cell_of(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(Fractional) row and column of coordinates in the raster's CRS; not finite where they are not."""
-        gt, inverse = self._dataset.transform, self._cell_from_crs
+        gt, inverse = self._transform, self._cell_from_crs
         # From the raster's corner, so that large coordinates cancel before they are multiplied.
         x, y = np.asarray(x, np.float64) - gt.c, np.asarray(y, np.float64) - gt.f
         with np.errstate(invalid="ignore"):  # a place outside of a CRS is infinite in it
@@ -228,13 +240,14 @@ class Elevation:
         xs, ys = self.xy(np.array([row, row, row - 0.5, row + 0.5]), np.array([col - 0.5, col + 0.5, col, col]))
         if self.crs.is_geographic:
             ys = ys - ys[0] + np.clip(ys[0], -89.9, 89.9)
-        elif self.crs.is_projected:
+        elif not self.flat:
             xs, ys = transformer(self.crs, LONGITUDE_LATITUDE).transform(xs, ys)
-        if (self.crs.is_geographic or self.crs.is_projected) and np.isfinite(xs).all() and np.isfinite(ys).all():
-            _, _, width = WGS84.inv(xs[0], ys[0], xs[1], ys[1])
-            _, _, height = WGS84.inv(xs[2], ys[2], xs[3], ys[3])
+        if not self.flat and np.isfinite(xs).all() and np.isfinite(ys).all():
+            ellipsoid = ellipsoid_of(self.crs)
+            _, _, width = ellipsoid.inv(xs[0], ys[0], xs[1], ys[1])
+            _, _, height = ellipsoid.inv(xs[2], ys[2], xs[3], ys[3])
             return float(np.sqrt(width * height))
-        return float(np.sqrt(abs(self._dataset.transform.determinant))) * metres_per_unit
+        return float(np.sqrt(abs(self._transform.determinant))) * metres_per_unit
 
     def heights_at(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Heights in metres (float32) at (fractional) cells of level 0, and where there is a surface (bool).
@@ -362,6 +375,13 @@ class Elevation:
         """After what was read by nearest cells: averages from here on, unless there was an unmarked sentinel in it."""
         self._resampling = Resampling.nearest if self.unmarked.any_beyond else Resampling.average
         self._settled = True
+
+
+def plausible_m(crs: CRS) -> tuple[float, float]:
+    """The lowest and the highest height, metres, that ground in a CRS can have; of an engineering CRS nothing is known."""
+    if crs.is_engineering:
+        return -1e6, 1e6
+    return PLAUSIBLE_M if is_on_earth(crs) else PLAUSIBLE_ELSEWHERE_M
 
 
 @dataclass(frozen=True, eq=False)

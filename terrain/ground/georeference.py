@@ -9,6 +9,7 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 
 from terrain.errors import SourceError
+from terrain.geo.axes import axes_of
 
 MOST_LATITUDE_DEG = 91.0
 """Files overshoot the poles by a cell."""
@@ -69,23 +70,27 @@ def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
         crs = CRS.from_user_input(dataset.crs.to_wkt())
     except (CRSError, RasterioError):
         raise SourceError(source, "a CRS that PROJ does not understand", "a raster with a CRS") from None
-    if crs.is_geocentric:
-        raise SourceError(source, crs.name, "a projected, geographic or engineering CRS")
+    first_axis = crs.axis_info[0].name.lower() if crs.axis_info else ""
+    if crs.is_geocentric or crs.type_name == "Vertical CRS" or not first_axis or "planetocentric" in first_axis:
+        raise SourceError(source, crs.name, "a projected, geographic or engineering CRS, of geodetic latitudes")
     if gt.is_identity and not crs.is_engineering:
         raise SourceError(source, "not georeferenced", "a raster with a geotransform")
     check_cells(source, dataset)
-    if crs.is_geographic and not like_degrees:
+    west, south, east, north = axes_of(crs).bounds_xy((west, south, east, north))
+    if crs.is_geographic and not (max(-west, east) <= MOST_LONGITUDE_DEG and max(-south, north) <= MOST_LATITUDE_DEG):
+        unit = crs.axis_info[0].unit_name
+        whole = "degrees, latitudes from -90 to 90" if unit.startswith("degree") else f"coordinates in its unit, the {unit}"
         raise SourceError(
             source, f"{where} in {crs.name}",
-            f"degrees, latitudes from -90 to 90; or the CRS that these coordinates are of, as metres in a UTM zone ({TO_STATE_IT})",
+            f"{whole}; or the CRS that these coordinates are of, as metres in a UTM zone ({TO_STATE_IT})",
         )  # fmt: skip
     if crs.is_projected and like_degrees and small:
-        unit = crs.axis_info[0].unit_name if crs.axis_info else "metre"
+        unit = crs.axis_info[0].unit_name
         raise SourceError(
             source, f"{where}, cells of {abs(gt.a) + abs(gt.b):.3g} ({unit}), in {crs.name}",
             f"coordinates of that CRS; these look like degrees, as of EPSG:4326 ({TO_STATE_IT})",
         )  # fmt: skip
-    unit_m = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0
+    unit_m = float(crs.axis_info[0].unit_conversion_factor or 1.0)
     if crs.is_projected and (cell_m := float(np.sqrt(abs(gt.determinant))) * unit_m) > MOST_CELL_M:
         raise SourceError(source, f"cells of {cell_m / 1000.0:.4g} km", f"at most {MOST_CELL_M / 1000.0:g} km in {crs.name}")
     return crs.to_2d() if len(crs.axis_info) == 3 else crs

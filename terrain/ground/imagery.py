@@ -11,7 +11,8 @@ from rasterio.errors import RasterioError
 
 from terrain.compiled import compiled
 from terrain.errors import SourceError
-from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from terrain.geo.axes import axes_of
+from terrain.geo.world import World, is_longitude_latitude, transformer
 from terrain.ground.georeference import check_cells, check_geotransform
 from terrain.ground.open_raster import dataset_with_masks
 from terrain.level.rasters import open_raster
@@ -40,7 +41,8 @@ class Imagery:
                 data = dataset.read((1, 2, 3), out_shape=(3, *shape), resampling=Resampling.average)
                 valid = dataset.dataset_mask(out_shape=shape) > 0
                 self.crs = CRS.from_user_input(dataset.crs.to_wkt())
-                gt, across, down = dataset.transform, dataset.width / shape[1], dataset.height / shape[0]
+                gt = axes_of(self.crs).affine @ dataset.transform
+                across, down = dataset.width / shape[1], dataset.height / shape[0]
                 self._cell_from_crs = ~Affine(gt.a * across, gt.b * down, gt.c, gt.d * across, gt.e * down, gt.f)
         except (RasterioError, CRSError, OSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
@@ -55,11 +57,8 @@ class Imagery:
         Raises ``SourceError`` where there is no way from the map's CRS to the imagery's.
         """
         try:
-            if crs != self.crs:
-                if not crs.is_geographic:
-                    x, y = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
-                if not self.crs.is_geographic:
-                    x, y = transformer(LONGITUDE_LATITUDE, self.crs).transform(x, y)
+            if crs != self.crs and not (is_longitude_latitude(crs) and is_longitude_latitude(self.crs)):
+                x, y = transformer(crs, self.crs).transform(x, y)
         except ProjError:
             allowed = f"a CRS that can be transformed into '{crs.name}'"
             raise SourceError(self.name, f"its CRS '{self.crs.name}'", allowed) from None
@@ -72,7 +71,7 @@ class Imagery:
     def cell_m(self, world: World) -> float:
         """Side of a cell on the ground at the level's anchor, metres."""
         if self.crs.is_geographic:
-            degree_m = 111_195.0
+            degree_m = np.radians(world.radius_m)
             return float(np.sqrt(abs(1.0 / self._cell_from_crs.determinant) * np.cos(np.radians(world.anchor_lat_deg)))) * degree_m
         unit = float(self.crs.axis_info[0].unit_conversion_factor or 1.0) if self.crs.axis_info else 1.0
         return float(np.sqrt(abs(1.0 / self._cell_from_crs.determinant))) * unit

@@ -21,7 +21,7 @@ import numpy as np
 
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled, in_shares, internal
-from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, transformer
+from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, is_longitude_latitude, transformer
 from terrain.ground.elevation import Elevation
 
 LONGEST_NODES = 1024
@@ -235,7 +235,7 @@ def _cell_finder(elevation: Elevation, world: World) -> CellFinder:
     if world.flat:
         plane, count = FLAT_PLANE, 2
         x, y = (x - world.anchor_x) * world.metres_per_unit, (y - world.anchor_y) * world.metres_per_unit
-    elif elevation.crs.is_geographic and not _local(elevation.bounds):
+    elif is_longitude_latitude(elevation.crs) and not _local(elevation.bounds):
         plane, count = DEGREES, 2
     else:
         plane, count = STEREOGRAPHIC, LATTICE_NODES
@@ -264,10 +264,12 @@ def _cells_at(
     square = x * x + y * y
     up = np.stack([2.0 * x, 2.0 * y, 1.0 - square], axis=-1) / (1.0 + square)[..., None] @ axes
     lon, lat = np.degrees(np.arctan2(up[..., 1], up[..., 0])), np.degrees(np.arcsin(np.clip(up[..., 2], -1.0, 1.0)))
+    if not is_longitude_latitude(elevation.crs):
+        lon, lat = transformer(LONGITUDE_LATITUDE, elevation.crs).transform(lon, lat)
     if elevation.crs.is_geographic:
         middle = float(elevation.xy(0, (elevation.cols - 1) / 2)[0])
-        return elevation.cell_of(lon + 360.0 * np.rint((middle - lon) / 360.0), lat)
-    return elevation.cell_of(*transformer(LONGITUDE_LATITUDE, elevation.crs).transform(lon, lat))
+        lon = lon + 360.0 * np.rint((middle - lon) / 360.0)
+    return elevation.cell_of(lon, lat)
 
 
 def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from terrain.cache import MIB, cached
 from terrain.compiled import compiled, in_shares, internal
 from terrain.geo.grid import Grid, MapView, step_at_anchor_m
-from terrain.geo.world import LocalFrame, World, transformer
+from terrain.geo.world import LocalFrame, World, is_longitude_latitude, transformer
 from terrain.ground.elevation import Elevation
 from terrain.ground.height_tiles import tiled_heights
 from terrain.ground.sheet import Sheet, sheet_of
@@ -200,7 +200,7 @@ class Surface:
         """Row and column in the raster; ``None`` where its longitudes are not continuous (unless ``everywhere``)."""
         source = self.elevation.crs
         if self.grid.crs != source:
-            if source.is_geographic:
+            if is_longitude_latitude(source):
                 x, y = self.world.lon_lat(self.grid.crs, x, y)
             else:
                 x, y = transformer(self.grid.crs, source).transform(x, y)

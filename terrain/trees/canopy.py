@@ -19,6 +19,7 @@ from rasterio.windows import Window
 
 from terrain.compiled import compiled
 from terrain.errors import SourceError
+from terrain.geo.axes import axes_of
 from terrain.geo.vectors import between, same_coordinates
 from terrain.ground.georeference import check_cells, check_geotransform
 from terrain.ground.open_raster import dataset_with_masks
@@ -97,6 +98,7 @@ class Canopy:
             raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
         self.crs = crs
         check_cells(source, dataset)
+        self._transform = axes_of(crs).affine @ dataset.transform
         unit_m = vertical_axis(source, dataset).unit_m  # a canopy grows upwards, whatever its vertical CRS does
         self._scale, self._offset = dataset.scales[0] * unit_m, dataset.offsets[0] * unit_m
         self.rows, self.cols = dataset.height, dataset.width
@@ -121,7 +123,7 @@ class Canopy:
 
     def xy(self, crs: CRS, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates in ``crs`` of (fractional) cells, whole numbers at their centres; infinite where it has none."""
-        gt, row, col = self._dataset.transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
+        gt, row, col = self._transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
         x, y = gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
         return (x, y) if same_coordinates(self.crs, crs) else between(self.name, self.crs, crs).transform(x, y)
 
@@ -129,7 +131,7 @@ class Canopy:
         """(Fractional) row and column of coordinates in ``crs``; infinite where the raster's CRS has none."""
         if not same_coordinates(self.crs, crs):
             x, y = between(self.name, self.crs, crs, back=True).transform(x, y)
-        gt, inverse = self._dataset.transform, ~self._dataset.transform
+        gt, inverse = self._transform, ~self._transform
         if self.crs.is_geographic:
             middle = gt.c + 0.5 * (gt.a * self.cols + gt.b * self.rows)
             x = x + 360.0 * np.rint((middle - x) / 360.0)

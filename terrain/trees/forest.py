@@ -18,7 +18,7 @@ from pyproj.exceptions import ProjError
 
 from terrain.errors import MISSING_VALUE, LevelError, SourceError
 from terrain.geo.vectors import Features, attribute_names, numbers, read_features, vector_layer
-from terrain.geo.world import World, transformer
+from terrain.geo.world import World, longitude_latitude_of, transformer
 from terrain.ground.elevation import Elevation
 from terrain.ground.length_text import length_m
 from terrain.level.level import LoadedLevel
@@ -76,7 +76,11 @@ class Site:
         if self.world.flat:
             return self.elevation.crs
         centre = LambertAzimuthalEqualAreaConversion(self.world.anchor_lat_deg, self.world.anchor_lon_deg)
-        return ProjectedCRS(centre, name="equal-area map of the level", geodetic_crs=GeographicCRS())
+        return ProjectedCRS(centre, name="equal-area map of the level", geodetic_crs=self._geodetic_crs)
+
+    @property
+    def _geodetic_crs(self) -> CRS:
+        return GeographicCRS() if self.world.on_earth else longitude_latitude_of(self.elevation.crs)
 
     @property
     def unit_m(self) -> float:

@@ -60,7 +60,7 @@ def test_a_part_equals_the_whole(scene, tmp_path):
 def test_blocks_join(scene, tmp_path, monkeypatch):
     whole, _ = written(scene, tmp_path)
     monkeypatch.setattr(module, "BLOCK_NODES", 64)
-    assert len(sun_blocks(scene, raster_view(scene))) == 9
+    assert len(sun_blocks(scene, raster_view(scene).view)) == 9
     apart, _ = written(scene, tmp_path)
     wrong = 60.0 * np.abs(apart - whole)
     assert wrong.mean() < 0.2 and np.percentile(wrong, 99) < 3.0  # minutes: lines fall elsewhere between nodes

@@ -85,7 +85,7 @@ def _flat_earth() -> None:
     east = world.direction_east(MERIDIAN_DEG)
     metres = np.array([np.cos(np.radians(TIP_DEG)), 1.0]) * world.EARTH_RADIUS_M * np.pi / 180.0
 
-    def geocentric(lon_deg: Any, lat_deg: Any) -> tuple[np.ndarray, np.ndarray]:
+    def geocentric(lon_deg: Any, lat_deg: Any, _: Any = None) -> tuple[np.ndarray, np.ndarray]:
         lon, lat = np.broadcast_arrays(np.asarray(lon_deg, np.float64), np.asarray(lat_deg, np.float64))
         steps = np.stack([lon - MERIDIAN_DEG, lat - TIP_DEG], axis=-1) * metres
         point = origin + steps @ np.stack([east, np.cross(up, east)])

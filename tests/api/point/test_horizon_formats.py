@@ -13,8 +13,9 @@ from api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_f
 from shadows.point.horizon import PointHorizon
 from shadows.point.place import PointPlace
 from terrain.errors import InputError
+from terrain.geo.world import WGS84
 
-PLACE = PointPlace(0.0, 0.0, 11.25, 47.5, 0.0, 0.0, 600.0, 2.0, np.zeros(3), np.eye(3))
+PLACE = PointPlace(0.0, 0.0, 11.25, 47.5, 0.0, 0.0, 600.0, 2.0, WGS84, np.zeros(3), np.eye(3))
 
 
 def horizon(azimuth_deg: np.ndarray | None) -> PointHorizon:

@@ -42,7 +42,7 @@ def opened(tmp_path: Path):
 
 def ground_of(scene: Scene, patches: tuple[Patch, ...] = ()) -> tuple[WalkedGround, int, int]:
     """The ground, and the row and column of the raster's first cell."""
-    view = raster_view(scene).as_nodes()
+    view = raster_view(scene).view.as_nodes()
     return walked_ground(scene, bare_nodes(scene, view, 1), patches), int(view.row0), int(view.col0)
 
 
@@ -86,7 +86,7 @@ def test_ground_that_is_missing_stands_nowhere(opened):
     heights[:, 60] = 50.0
     heights[20:60, 30:41] = np.nan
     scene = opened(heights)
-    view = raster_view(scene).as_nodes()
+    view = raster_view(scene).view.as_nodes()
     nodes = bare_nodes(scene, view, 1)
     assert seen(walked_ground(scene, nodes, ()), int(view.row0) + 40, int(view.col0) + 20, 90.0) == pytest.approx(
         50.0 / 400.0, abs=1e-4
@@ -97,7 +97,7 @@ def test_ground_beside_a_block_is_walked_finely_and_coarsely(opened):
     heights = np.zeros((40, 1500))
     heights[:, 600:608], heights[:, 1200:1208] = 60.0, 700.0
     scene = opened(heights)
-    view = raster_view(scene).as_nodes()
+    view = raster_view(scene).view.as_nodes()
     block = replace(view, cols=64)
     nodes = bare_nodes(scene, block, 1)
     row, col = int(block.row0) + 20, int(block.col0) + 30

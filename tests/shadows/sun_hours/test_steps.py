@@ -57,7 +57,7 @@ def opened(tmp_path: Path):
 
 
 def asked_of(scene: Scene) -> float:
-    view = raster_view(scene).as_nodes()
+    view = raster_view(scene).view.as_nodes()
     day = window_suns(scene.world, [window_of(scene, SPRING)])[0]
     return step_for(scene, bare_nodes(scene, view, 1), day, 0.0, 0.0)
 
@@ -82,7 +82,7 @@ def test_smooth_ground_bears_long_steps_and_a_field_of_poles_does_not(opened):
 
 def test_hours_without_a_step_are_those_of_the_step_that_the_ground_asks_for(opened):
     scene = opened(dome(), 30.0)
-    view = raster_view(scene).as_nodes()
+    view = raster_view(scene).view.as_nodes()
     days = window_suns(scene.world, [window_of(scene, SPRING)])
     free, bound, other = (sun_hours(scene, view, days, SunRules(step), no_plan).hours for step in (None, LONG_STEP_MIN, 60.0))
     np.testing.assert_array_equal(free, bound)

@@ -1,0 +1,102 @@
+"""The axes of a CRS: coordinates as GDAL orders them, and as Skugga computes, x to the east and y to the north.
+
+GDAL and ``pyproj`` (``always_xy``) put easting before northing, and longitude before latitude. They leave alone axes that run to
+the south or west, as Krovak's, and angles in grads. Inside of Skugga angles are degrees, and axes along the compass's directions
+run east and north: no map is mirrored then. Axes along meridians (polar maps) and of rotated poles stay as they are, since no map
+in them is mirrored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from affine import Affine
+from pyproj import CRS
+
+from terrain.cache import MIB, IdentityKey, cached
+from terrain.errors import InputError
+
+_COMPASS = {"east": (True, 1.0), "west": (True, -1.0), "north": (False, 1.0), "south": (False, -1.0)}
+"""By direction: whether an axis runs along parallels, and its sign."""
+
+Bounds = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Axes:
+    """How GDAL's first and second coordinate become x and y.
+
+    Attributes
+    ----------
+    swapped
+        Whether GDAL's first coordinate is y.
+    x_scale, y_scale
+        Degrees in the CRS's unit of angles, 1 of lengths; below 0 where the axis runs west or south.
+    """
+
+    swapped: bool = False
+    x_scale: float = 1.0
+    y_scale: float = 1.0
+
+    @property
+    def are_standard(self) -> bool:
+        """Whether GDAL's coordinates are x and y themselves."""
+        return self == Axes()
+
+    @property
+    def affine(self) -> Affine:
+        """x and y of GDAL's coordinates."""
+        return Affine(0, self.x_scale, 0, self.y_scale, 0, 0) if self.swapped else Affine.scale(self.x_scale, self.y_scale)
+
+    def xy(self, first: float | np.ndarray, second: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """x and y of GDAL's coordinates."""
+        x, y = (second, first) if self.swapped else (first, second)
+        return np.asarray(x) * self.x_scale, np.asarray(y) * self.y_scale
+
+    def stored(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """GDAL's coordinates of x and y."""
+        x, y = np.asarray(x) / self.x_scale, np.asarray(y) / self.y_scale
+        return (y, x) if self.swapped else (x, y)
+
+    def bounds_xy(self, bounds: Bounds) -> Bounds:
+        """West, south, east, north of the least and greatest of GDAL's coordinates."""
+        return _ordered(*self.xy(np.array(bounds[::2]), np.array(bounds[1::2])))
+
+    def bounds_stored(self, bounds: Bounds) -> Bounds:
+        """The least of GDAL's coordinates, and the greatest, of west, south, east, north."""
+        return _ordered(*self.stored(np.array(bounds[::2]), np.array(bounds[1::2])))
+
+
+def _ordered(first: np.ndarray, second: np.ndarray) -> Bounds:
+    return float(first.min()), float(second.min()), float(first.max()), float(second.max())
+
+
+@cached("process", MIB, key=lambda crs: (IdentityKey(crs),), size_of=lambda _: 256)
+def axes_of(crs: CRS) -> Axes:
+    """The axes of a CRS, by their directions and unit."""
+    axes = crs.axis_info[:2]
+    directions = [(axis.direction or "").lower() for axis in axes]
+    if len(axes) != 2 or not all(direction in _COMPASS for direction in directions):
+        return Axes()
+    if directions == ["north", "east"]:  # GDAL puts the second one first
+        axes, directions = axes[::-1], directions[::-1]
+    (along, first), (beside, second) = (_COMPASS[direction] for direction in directions)
+    if along == beside:  # along meridians
+        return Axes()
+    if crs.is_geographic:
+        units = [float(np.degrees(axis.unit_conversion_factor)) for axis in axes]
+        units = [1.0 if abs(unit - 1.0) < 1e-9 else unit for unit in units]  # a degree's factor is rounded
+        first, second = first * units[0], second * units[1]
+    return Axes(False, first, second) if along else Axes(True, second, first)
+
+
+def check_axes(name: str, crs: CRS) -> None:
+    """Raise ``InputError`` for a CRS in which no map can be asked for: one whose coordinates are not x to the east and y to the
+    north, in degrees or in a unit of length.
+    """
+    if axes_of(crs).are_standard:
+        return
+    first, second = crs.axis_info[:2]
+    found = f"{crs.name}: its axes run {first.direction} and {second.direction}, in the unit {first.unit_name}"
+    raise InputError(name, found, "a CRS whose axes run east and north, in degrees or a unit of length")

@@ -1,0 +1,102 @@
+"""A tower on a plain in any CRS, and whether its shadow falls as geodesics say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from pyproj import CRS, Geod, Transformer
+from rasterio.errors import NotGeoreferencedWarning
+
+from api.layers import MASK_LIT, MASK_SHADOW
+from api.shade import raster_view, write_shade
+from terrain.level.level import load_level
+from terrain.level.parts import SunSpec
+from terrain.scene import build_scene
+
+SIDE, HALF, HEIGHT_M, CELL_M = 101, 2, 60.0, 10.0
+ALTITUDE_DEG = 15.0
+AZIMUTHS_DEG = (20.0, 110.0, 200.0, 290.0)
+LENGTH_M = HEIGHT_M / np.tan(np.radians(ALTITUDE_DEG))
+WGS84 = Geod(ellps="WGS84")
+PLACES = CRS.from_user_input("OGC:CRS84")
+
+
+@dataclass(frozen=True)
+class Fall:
+    """How a shadow falls: by how much its bearing and its length are off, degrees and metres, and how many cells of the rim are
+    not lit."""
+
+    bearing_off_deg: float
+    length_off_m: float
+    dark_rim: int
+
+
+def plain_with_tower() -> np.ndarray:
+    """Heights (101, 101) of a plain with a tower of 5 x 5 cells in its middle."""
+    heights = np.zeros((SIDE, SIDE), np.float32)
+    heights[SIDE // 2 - HALF : SIDE // 2 + HALF + 1, SIDE // 2 - HALF : SIDE // 2 + HALF + 1] = HEIGHT_M
+    return heights
+
+
+def write_plain(path: Path, crs: CRS, lon: float, lat: float, places: CRS = PLACES, geod: Geod = WGS84) -> None:
+    """Write the plain round a place as a VRT, in GDAL's order and directions of a CRS's axes, cells of about ``CELL_M``: a GeoTIFF
+    does not keep all axes.
+    """
+    to_crs = Transformer.from_crs(places, crs, always_xy=True)
+    x, y = to_crs.transform(lon, lat)
+    step = 1e-4 * (100.0 if crs.is_projected else 0.1)
+    away = np.array([x, x + step, x]), np.array([y, y, y + step])
+    lons, lats = to_crs.transform(*away, direction="INVERSE")
+    _, _, metres = geod.inv([lons[0]] * 2, [lats[0]] * 2, lons[1:], lats[1:])
+    dx, dy = (step * CELL_M / each for each in metres)
+    transform = Affine(dx, 0.0, x - SIDE / 2 * dx, 0.0, -dy, y + SIDE / 2 * dy)
+    bare = path.with_suffix(".tif")
+    with (
+        pytest.warns(NotGeoreferencedWarning),
+        rasterio.open(bare, "w", driver="GTiff", height=SIDE, width=SIDE, count=1, dtype="float32") as dataset,
+    ):
+        dataset.write(plain_with_tower(), 1)
+    path.write_text(
+        f"<VRTDataset rasterXSize='{SIDE}' rasterYSize='{SIDE}'><SRS>{escape(crs.to_wkt())}</SRS>"
+        f"<GeoTransform>{', '.join(map(repr, transform.to_gdal()))}</GeoTransform><VRTRasterBand dataType='Float32' band='1'>"
+        f"<SimpleSource><SourceFilename relativeToVRT='1'>{bare.name}</SourceFilename><SourceBand>1</SourceBand></SimpleSource>"
+        "</VRTRasterBand></VRTDataset>"
+    )
+
+
+def mask_of(source: Path, output: Path, azimuth: float, altitude: float = ALTITUDE_DEG) -> np.ndarray:
+    """The mask on a raster's own cells."""
+    scene = build_scene(load_level(source))
+    try:
+        write_shade(scene, raster_view(scene), "mask", [SunSpec(azimuth=azimuth, altitude=altitude)], [output], {})
+    finally:
+        scene.close()
+    with rasterio.open(output) as made, rasterio.open(source) as own:
+        assert made.shape == own.shape
+        assert made.transform.almost_equals(own.transform, 1e-9)
+        return made.read(1)
+
+
+def fall_of(mask: np.ndarray, source: Path, crs: CRS, azimuth: float, places: CRS = PLACES, geod: Geod = WGS84) -> Fall:
+    """How the tower's shadow falls in a mask of the cells of a raster in a CRS, in GDAL's order of axes."""
+    with rasterio.open(source) as dataset:
+        transform = dataset.transform
+    row, col = np.mgrid[:SIDE, :SIDE]
+    x, y = transform.a * (col + 0.5) + transform.c, transform.e * (row + 0.5) + transform.f
+    lon, lat = Transformer.from_crs(crs, places, always_xy=True).transform(x, y)
+    middle = SIDE // 2
+    bearing, _, away = geod.inv(np.full(lon.shape, lon[middle, middle]), np.full(lon.shape, lat[middle, middle]), lon, lat)
+    far = (mask == MASK_SHADOW) & (away > 4.0 * HALF * CELL_M)
+    rim = np.ones(mask.shape, bool)
+    rim[1:-1, 1:-1] = False
+    if not far.any():
+        return Fall(180.0, LENGTH_M, int((mask[rim] != MASK_LIT).sum()))
+    off = (bearing[far] - azimuth - 180.0 + 540.0) % 360.0 - 180.0
+    length_off_m = float(away[far].max()) - LENGTH_M - HALF * CELL_M
+    return Fall(float(np.average(off, weights=away[far])), length_off_m, int((mask[rim] != MASK_LIT).sum()))

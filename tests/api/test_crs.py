@@ -1,0 +1,344 @@
+"""Rasters in any CRS: their shadows fall where geodesics say, on the raster's own cells, or one error says why there are none."""
+
+from __future__ import annotations
+
+import warnings
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from pyproj import CRS, Transformer
+from pyproj.database import query_crs_info
+from pyproj.enums import PJType
+from pyproj.exceptions import CRSError, ProjError
+
+import skugga
+from api.layers import MASK_NO_SURFACE, MASK_SHADOW
+from api.shade import raster_view, shade_array, write_shade
+from api.sun_hours import write_sun_hours
+from shadows.sun_hours.sun_hours import SunRules
+from terrain.errors import InputError, SourceError
+from terrain.geo.clock import clock_named
+from terrain.geo.daily_windows import readings_of, windows_asked
+from terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, longitude_latitude_of, transformer
+from terrain.level.level import load_level, parse_sun
+from terrain.level.parts import SunSpec
+from terrain.scene import Scene, build_scene
+from tests.api.crs_towers import ALTITUDE_DEG, AZIMUTHS_DEG, SIDE, fall_of, mask_of, plain_with_tower, write_plain
+from tests.rasters import write_geotiff
+
+BEARING_DEG, LENGTH_M = 2.0, 15.0
+"""How far a shadow may be off: cells are 10 m wide, a tower 50 m."""
+
+DAY = date(2024, 10, 21)
+
+ROTATED = "+proj=ob_tran +o_proj=longlat +o_lon_p=0 +o_lat_p=39.25 +lon_0=18 +ellps=WGS84"
+
+SAMPLES = [
+    ("EPSG:32632", 9.3, 48.0),
+    ("EPSG:4326", 9.3, 48.0),
+    ("EPSG:4807", 2.0, 46.0),  # Paris, grads
+    ("IGNF:NTFPGRAD", 2.0, 46.0),  # longitude first
+    ("EPSG:4806", 12.0, 42.0),  # Rome
+    ("EPSG:4817", 10.0, 60.0),  # Oslo
+    ("EPSG:4816", 10.0, 35.0),  # Paris, grads, on another datum
+    ("+proj=longlat +pm=paris +ellps=clrk80ign +towgs84=-168,-60,320", 2.0, 46.0),
+    (ROTATED, 10.0, 50.0),
+    ("EPSG:5513", 15.0, 49.8),  # south, west
+    ("EPSG:5513+5705", 15.0, 49.8),
+    ("EPSG:2053", 29.0, -26.0),  # west, south
+    ("EPSG:3035", 10.0, 52.0),  # north, east
+    ("EPSG:3413", -45.0, 75.0),  # south, south
+    ("EPSG:3031", 120.0, -75.0),  # north, north
+    ("+proj=tmerc +lon_0=9 +axis=wnu +ellps=WGS84", 9.3, 48.0),
+    ("+proj=tmerc +lon_0=9 +axis=nwu +ellps=WGS84", 9.3, 48.0),
+    ("+proj=tmerc +lon_0=9 +axis=esu +ellps=WGS84", 9.3, 48.0),
+    ("EPSG:2225", -122.0, 41.0),  # feet
+    ("IAU_2015:30100", 10.0, 20.0),  # the Moon
+    ("IAU_2015:30110", 10.0, 20.0),
+    ("IAU_2015:49901", 10.0, 20.0),  # Mars, north, west
+    ("IAU_2015:49911", 10.0, 20.0),  # west, north
+]
+
+
+def opened(raster: Path) -> Scene:
+    return build_scene(load_level(raster))
+
+
+def faults_of(folder: Path, crs: CRS, lon: float, lat: float, azimuths: tuple[float, ...] = AZIMUTHS_DEG) -> list[str]:
+    """What is wrong about the shadows of a tower at a place of a CRS's own celestial body."""
+    places, geod = longitude_latitude_of(crs), ellipsoid_of(crs)
+    source = folder / "tower.vrt"
+    write_plain(source, crs, lon, lat, places, geod)
+    found, scene = [], opened(source)
+    for azimuth in azimuths:
+        mask = shade_array(scene, raster_view(scene), "mask", SunSpec(azimuth=azimuth, altitude=ALTITUDE_DEG), {})
+        fall = fall_of(mask, source, crs, azimuth, places, geod)
+        if abs(fall.bearing_off_deg) > BEARING_DEG or abs(fall.length_off_m) > LENGTH_M or fall.dark_rim:
+            found.append(f"{crs.name}, azimuth {azimuth}: {fall}")
+    scene.close()
+    return found
+
+
+@pytest.mark.parametrize(("code", "lon", "lat"), SAMPLES)
+def test_shadows_fall_as_geodesics_say(tmp_path, code, lon, lat):
+    assert not faults_of(tmp_path, CRS.from_user_input(code), lon, lat, AZIMUTHS_DEG[::2])
+
+
+TESTED = (PJType.PROJECTED_CRS, PJType.GEOGRAPHIC_2D_CRS, PJType.DERIVED_PROJECTED_CRS)
+
+
+def all_crs(kinds: tuple[PJType, ...]) -> list[tuple[str, tuple[float, float, float, float] | None]]:
+    """Codes of PROJ's database, and where they are used."""
+    infos = query_crs_info(pj_types=list(kinds), allow_deprecated=True)
+    return [(f"{info.auth_name}:{info.code}", info.area_of_use and tuple(info.area_of_use)[:4]) for info in infos]  # type: ignore[misc]
+
+
+def middle_of(area: tuple[float, float, float, float] | None) -> tuple[float, float]:
+    """A place in an area of use; of a whole globe one off its poles and its axes."""
+    if area is None or area[2] - area[0] > 300.0:
+        south, north = (-80.0, 80.0) if area is None else (area[1], area[3])
+        return 12.0, float(np.clip(20.0, south + 1.0, north - 1.0))
+    west, south, east, north = area
+    lon = (west + east + (360.0 if east < west else 0.0)) / 2.0
+    return (lon + 180.0) % 360.0 - 180.0, float(np.clip((south + north) / 2.0, -89.0, 89.0))
+
+
+def place_in(crs: CRS, area: tuple[float, float, float, float] | None) -> tuple[float, float]:
+    """A place of a CRS: the middle of its area of use, or 50 km off its origin where that is off its map. Raises ``ProjError``."""
+    places, place = longitude_latitude_of(crs), middle_of(area)
+    if np.isfinite(Transformer.from_crs(places, crs, always_xy=True).transform(*place)).all():
+        return place
+    lon, lat = Transformer.from_crs(crs, places, always_xy=True).transform(5e4, 5e4)
+    if not np.isfinite([lon, lat]).all():
+        raise ProjError(f"no place of {crs.name} is known")
+    return lon, lat
+
+
+@pytest.mark.long
+@pytest.mark.timeout(4 * 3600)
+@pytest.mark.parametrize("share", range(40))
+def test_no_crs_of_proj_is_wrong_in_silence(tmp_path, share):
+    """Every CRS is served right, or refused with one error that names it."""
+    wrong, served = [], 0
+    for number, (code, area) in enumerate(all_crs(TESTED)[share::40]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)
+            crs = CRS.from_user_input(code)
+        try:
+            wrong += [f"{code}: {fault}" for fault in faults_of(folder, crs, *place_in(crs, area))]
+            served += 1
+        except (ProjError, CRSError):  # PROJ cannot place it itself
+            where = (10.0, 20.0, 1e-4) if crs.is_geographic else (3e5, 4e5, 10.0)
+            with pytest.raises(SourceError, match=r"needed: (a CRS that PROJ|a projected)"):
+                opened(write_geotiff(folder / "plain.tif", plain_with_tower(), crs.to_wkt(), *where)).close()
+        except (InputError, SourceError) as error:
+            assert str(error).count("\n") == 0
+            if crs.name not in str(error):
+                wrong.append(f"{code}: {error}")
+    assert served > 0
+    assert not wrong, "\n".join(wrong)
+
+
+def test_a_crs_without_a_transformation_is_refused(tmp_path):
+    """Lambert Conic Conformal (West Orientated), which PROJ does not have."""
+    raster = write_geotiff(tmp_path / "iceland.tif", plain_with_tower(), "EPSG:32627", 4e5, 7.1e6, 10.0)
+    with pytest.raises(ProjError):
+        Transformer.from_crs("EPSG:3052", "OGC:CRS84", always_xy=True)
+    scene = opened(raster)
+    with pytest.raises(InputError, match="crs: 'EPSG:3052' is not allowed; allowed: a CRS that PROJ can transform"):
+        scene.check_crs("crs", CRS.from_user_input("EPSG:3052"), "EPSG:3052")
+    other = write_geotiff(tmp_path / "own.tif", plain_with_tower(), "EPSG:3052", 4e5, 7.1e6, 10.0)
+    with pytest.raises(SourceError, match="needed: a CRS that PROJ can transform into longitude and latitude"):
+        opened(other)
+
+
+def test_a_crs_whose_prime_meridian_proj_forgets_is_refused(tmp_path):
+    """ATIG of France: from its grads of Paris into WGS 84, and not the other way round."""
+    write_plain(tmp_path / "tower.vrt", CRS.from_user_input("IGNF:ATIGG"), 2.25, 46.5)
+    with pytest.raises(SourceError, match="ATIG .*; needed: a CRS that PROJ can transform into longitude and latitude, and back"):
+        opened(tmp_path / "tower.vrt")
+
+
+@pytest.mark.parametrize("code", ["EPSG:5513", "EPSG:4807"])
+def test_maps_in_axes_of_their_own_are_refused(tmp_path, code):
+    scene = opened(write_geotiff(tmp_path / "dem.tif", plain_with_tower(), "EPSG:32632", 5e5, 5.3e6, 10.0))
+    with pytest.raises(InputError, match=r"its axes run .*; allowed: a CRS whose axes run east and north"):
+        scene.view("map", crs=code)
+
+
+@pytest.mark.parametrize(("code", "lon", "lat"), [("EPSG:4807", 2.0, 46.0), ("EPSG:5513", 15.0, 49.8), (ROTATED, 10.0, 50.0)])
+def test_other_maps_show_the_same_shadow(tmp_path, code, lon, lat):
+    """In longitude and latitude, where cells of them are as many in shadow."""
+    write_plain(tmp_path / "tower.vrt", CRS.from_user_input(code), lon, lat)
+    scene = opened(tmp_path / "tower.vrt")
+    own, sun = mask_of(tmp_path / "tower.vrt", tmp_path / "own.tif", 110.0), SunSpec(azimuth=110.0, altitude=15.0)
+    write_shade(scene, raster_view(scene, crs="EPSG:4326"), "mask", [sun], [tmp_path / "map.tif"], {})
+    with rasterio.open(tmp_path / "map.tif") as dataset:
+        mask, cell = dataset.read(1), dataset.res
+    area_m2 = (mask == MASK_SHADOW).sum() * cell[0] * cell[1] * 111_195.0**2 * np.cos(np.radians(lat))
+    assert area_m2 / ((own == MASK_SHADOW).sum() * 100.0) == pytest.approx(1.0, abs=0.1)
+    assert scene.world.anchor_lon_deg == pytest.approx(lon, abs=1e-3)
+    assert scene.world.anchor_lat_deg == pytest.approx(lat, abs=1e-3)
+
+
+def test_sunrise_at_a_point_is_that_of_the_twin(tmp_path):
+    """Of one place in Paris's grads and in Greenwich's degrees."""
+    for name, code in (("paris", "EPSG:4807"), ("twin", "EPSG:4326")):
+        write_plain(tmp_path / f"{name}.vrt", CRS.from_user_input(code), 2.0, 46.0)
+    days = []
+    for name in ("paris", "twin"):
+        with skugga.open_level(tmp_path / f"{name}.vrt") as level:
+            days.append(level.point(2.003, 46.003, date="2024-10-21").day)
+    for moment in ("sunrise", "noon", "sunset"):
+        assert abs((getattr(days[0], moment) - getattr(days[1], moment)).total_seconds()) < 2.0
+    assert days[0].clock == days[1].clock
+    assert days[0].direct_h == pytest.approx(days[1].direct_h, abs=0.01)
+
+
+def test_a_point_is_named_in_the_crs_s_own_coordinates(tmp_path):
+    """In Krovak's southing and westing, the first of which GDAL has first."""
+    crs = CRS.from_user_input("EPSG:5513")
+    write_plain(tmp_path / "tower.vrt", crs, 15.0, 49.8)
+    x, y = Transformer.from_crs("OGC:CRS84", crs, always_xy=True).transform(15.0, 49.8)
+    with skugga.open_level(tmp_path / "tower.vrt") as level:
+        assert level.horizon(x, y + 100.0, crs=crs).elevation_deg.max() > 20.0  # 100 m to the west of the tower
+        with pytest.raises(InputError, match="point"):
+            level.horizon(y, x, crs=crs)
+
+
+# Another celestial body.
+
+
+@pytest.mark.parametrize("code", ["IAU_2015:30100", "IAU_2015:30110", "ESRI:104905"])
+def test_another_body_has_no_sun_of_a_time(tmp_path, code):
+    crs = CRS.from_user_input(code)
+    write_plain(tmp_path / "moon.vrt", crs, 10.0, 20.0, longitude_latitude_of(crs), ellipsoid_of(crs))
+    scene = opened(tmp_path / "moon.vrt")
+    with pytest.raises(InputError, match=r"time: .*azimuth and altitude: '.*' is not a CRS of the earth"):
+        scene.with_sun(parse_sun("2024-10-21T12:00:00Z", None, None))
+    with pytest.raises(InputError, match=r"date: .*is not a CRS of the earth"):
+        windows_asked(scene.world, DAY, DAY, 1, readings_of("00:00-24:00"), clock_named("clock", "utc"))
+    for other in ("EPSG:4326", "EPSG:3857"):
+        with pytest.raises(InputError, match=f"crs: '{other}' is not allowed; allowed: a CRS that PROJ can transform"):
+            scene.view("map", crs=other)
+
+
+def test_ground_bends_as_the_moon_does(tmp_path):
+    """From 100 m above level ground the horizon dips by the angle of the Moon's radius, and not of the earth's."""
+    crs = CRS.from_user_input("IAU_2015:30110")
+    heights = np.zeros((201, 201), np.float32)
+    raster = write_geotiff(tmp_path / "moon.tif", heights, crs.to_wkt(), 0.0, 201 * 500.0, 500.0)
+    with skugga.open_level(raster) as level:
+        middle = transformer(crs, LONGITUDE_LATITUDE).transform(100.5 * 500.0, 100.5 * 500.0)
+        dip = -level.horizon(*middle, height=100.0).elevation_deg
+    radius_m = ellipsoid_of(crs).a
+    assert radius_m == pytest.approx(1_737_400.0)
+    assert np.median(dip) == pytest.approx(np.degrees(np.arccos(radius_m / (radius_m + 100.0))), rel=0.05)
+
+
+def test_mountains_of_mars_are_no_holes(tmp_path):
+    """Olympus Mons is higher than any ground of the earth."""
+    heights = np.full((20, 20), 21_229.0, np.float32)
+    heights[0, 0] = -32768.0  # a sentinel that the file does not declare
+    scene = opened(write_geotiff(tmp_path / "mars.tif", heights, "IAU_2015:49910", 0.0, 2e5, 1000.0))
+    assert scene.height_range_m == pytest.approx((21_229.0, 21_229.0))
+    assert not np.isfinite(scene.elevation.ground_m(*scene.elevation.xy(0, 0)))
+    assert scene.elevation.ground_m(*scene.elevation.xy(9, 9)) == pytest.approx(21_229.0)
+
+
+# Rasters whose rows do not begin in the north-west.
+
+FLIPS = {
+    "south-up": lambda heights: (heights[::-1], Affine(10.0, 0.0, 5e5, 0.0, 10.0, 5.3e6)),
+    "half turn": lambda heights: (heights[::-1, ::-1], Affine(-10.0, 0.0, 5e5 + 10 * heights.shape[1], 0.0, 10.0, 5.3e6)),
+    "mirrored": lambda heights: (heights[:, ::-1], Affine(-10.0, 0.0, 5e5 + 10 * heights.shape[1], 0.0, -10.0, 5.3e6 + 1010.0)),
+    "transposed": lambda heights: (heights.T, Affine(0.0, 10.0, 5e5, -10.0, 0.0, 5.3e6 + 1010.0)),
+}
+
+
+def rough() -> np.ndarray:
+    """Heights (101, 90) that no flip leaves alone."""
+    row, col = np.mgrid[:101, :90].astype(np.float32)
+    heights = (45.0 * np.sin(row / 9.0) * np.cos(col / 6.0 + row / 20.0)).astype(np.float32)
+    heights[20:31, 55:66] += 60.0
+    return heights
+
+
+@pytest.fixture(params=FLIPS)
+def flipped(request, tmp_path) -> tuple[Path, Path, object]:
+    """A raster, its upright twin, and what turns the twin's cells into the raster's."""
+    heights = rough()
+    upright = write_geotiff(tmp_path / "upright.tif", heights, "EPSG:32632", 5e5, 5.3e6 + 1010.0, 10.0)
+    cells, transform = FLIPS[request.param](heights)
+    turned = write_geotiff(tmp_path / "turned.tif", np.ascontiguousarray(cells), "EPSG:32632", 0, 0, 1.0, transform=transform)
+    return turned, upright, lambda array: FLIPS[request.param](array)[0]
+
+
+def test_masks_lie_on_turned_cells(tmp_path, flipped):
+    turned, upright, flip = flipped
+    masks = {path: mask_of(path, tmp_path / "mask.tif", 200.0) for path in (turned, upright)}
+    assert 0.05 < (masks[upright] == MASK_SHADOW).mean() < 0.9
+    np.testing.assert_array_equal(masks[turned], flip(masks[upright]))
+    assert not (masks[turned] == MASK_NO_SURFACE).any()
+
+
+def test_like_takes_turned_cells(tmp_path, flipped):
+    turned, upright, flip = flipped
+    scene, sun = opened(upright), SunSpec(azimuth=200.0, altitude=15.0)
+    write_shade(scene, raster_view(scene, like=turned), "mask", [sun], [tmp_path / "like.tif"], {})
+    with rasterio.open(tmp_path / "like.tif") as made, rasterio.open(turned) as own:
+        assert (made.transform, made.shape, made.crs) == (own.transform, own.shape, own.crs)
+        np.testing.assert_array_equal(made.read(1), flip(mask_of(upright, tmp_path / "mask.tif", 200.0)))
+
+
+def test_sun_hours_lie_on_turned_cells(tmp_path, flipped):
+    turned, upright, flip = flipped
+    found = {}
+    for path in (turned, upright):
+        scene = opened(path)
+        windows = windows_asked(scene.world, DAY, DAY, 1, readings_of("10:00-12:00"), clock_named("clock", "solar"))
+        write_sun_hours(scene, raster_view(scene), windows, SunRules(step_min=60.0), {"hours": tmp_path / "hours.tif"})
+        with rasterio.open(tmp_path / "hours.tif") as made, rasterio.open(path) as own:
+            assert (made.transform, made.shape) == (own.transform, own.shape)
+            found[path] = made.read(1)
+    assert 0.1 < found[upright].mean() < 1.95
+    np.testing.assert_allclose(found[turned], flip(found[upright]), atol=0.02)
+
+
+def test_the_library_answers_on_turned_cells(tmp_path, flipped):
+    turned, upright, flip = flipped
+    answers = {}
+    for path in (turned, upright):
+        with skugga.open_level(path) as level, rasterio.open(path) as own:
+            assert (level.transform, level.shape) == (own.transform, own.shape)
+            answers[path] = level.shade(azimuth=200.0, altitude=15.0), level.sun_hours("2024-10-21", step_min=60.0)
+    for one, other in zip(answers[turned], answers[upright], strict=True):
+        np.testing.assert_allclose(one, flip(other), atol=0.02)
+
+
+def test_a_part_of_turned_cells_is_cut_from_the_whole(tmp_path, flipped):
+    turned, _, _ = flipped
+    scene, sun = opened(turned), SunSpec(azimuth=200.0, altitude=15.0)
+    whole = mask_of(turned, tmp_path / "mask.tif", 200.0)
+    bounds = 5e5 + 200.0, 5.3e6 + 300.0, 5e5 + 600.0, 5.3e6 + 900.0
+    write_shade(scene, raster_view(scene, bounds=bounds), "mask", [sun], [tmp_path / "part.tif"], {})
+    with rasterio.open(tmp_path / "part.tif") as part, rasterio.open(turned) as own:
+        offset = ~own.transform @ part.transform
+        col, row = round(offset.c), round(offset.f)
+        corners = np.array([[part.transform.c, part.transform.f]]) + np.array([[0, 0], [part.width, part.height]]) @ (
+            np.array([[part.transform.a, part.transform.d], [part.transform.b, part.transform.e]])
+        )
+        assert (*corners.min(axis=0), *corners.max(axis=0)) == pytest.approx(bounds, abs=1e-3)
+        np.testing.assert_array_equal(part.read(1), whole[row : row + part.height, col : col + part.width])
+
+
+@pytest.mark.parametrize("cell", [(10.0, 10.0003), (10.0, 13.4), (13.4, 10.0), (11.7, 10.0)])
+def test_cells_that_are_not_square_are_all_there(tmp_path, cell):
+    raster = write_geotiff(tmp_path / "oblong.tif", np.zeros((SIDE, SIDE), np.float32), "EPSG:32632", 5e5, 5.3e6, cell)
+    assert not (mask_of(raster, tmp_path / "mask.tif", 200.0) == MASK_NO_SURFACE).any()
