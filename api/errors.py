@@ -58,7 +58,7 @@ class BrokenShardError(RenderError):
 class NotReadyError(BusyError):
     """No render process has warmed up yet.
 
-    ``preparing`` is what it does: the ``task`` in words, steps ``done``, and ``total``.
+    ``preparing`` is what it does: the ``task`` in words, steps ``done``, ``total``, and ``elapsed_s``.
     """
 
     def __init__(self, message: str, preparing: dict[str, Any] | None = None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict
 from typing import Any
 
@@ -34,11 +35,14 @@ async def readyz(service: TheService) -> JSONResponse:
     `probes_waiting` is how many levels, each under a class of suns, are still to be probed while nothing is drawn. Where archives
     of tiles are served alone nothing is drawn, and the service is ready at once.
 
-    `preparing` is what is compiled, with the numbers of loops `done` and in `total` (0 while unknown); `null` where nothing is
-    left. Before the service is ready tiles wait for it; after that it is what no request has needed yet.
+    `preparing` is what is compiled, with the numbers of loops `done` and in `total` (0 while unknown), and `elapsed_s`, the
+    seconds since the service began to prepare; `null` where nothing is left. Before the service is ready tiles wait for it;
+    after that it is what no request has needed yet.
     """
     pool = service.pool
-    preparing = None if pool.preparing is None else asdict(pool.preparing)
+    preparing: dict[str, Any] | None = None
+    if pool.preparing is not None:
+        preparing = {**asdict(pool.preparing), "elapsed_s": round(time.monotonic() - pool.preparing_since, 1)}
     if service.draws and not pool.ready:
         raise NotReadyError("No render process is ready; the service's log says why if this lasts.", preparing)
     return JSONResponse(

@@ -39,7 +39,8 @@ async def levels(request: Request, service: TheService) -> Response:
     `warnings` on what may be wrong with its files.
 
     `view_kinds` says of each view whether it is a `map` or `perspective`, and its width and height in pixels.
-    `bounds`, `minzoom` and `maxzoom` are null where a level has no place on earth.
+    `bounds`, `minzoom`, `maxzoom` and `time_zone` (of its middle, as Europe/Oslo) are null where a level has no place on earth.
+    `sun_is_default` is true where the level names no sun: `sun` is then a low one of its place.
     """
     served = await service.all_levels()
     return json_answer(request, [level.summary() for level in served])

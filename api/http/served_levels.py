@@ -21,6 +21,7 @@ from api.matrices import LonLatBounds, ZoomRange, detail_m, matrix_set_of, serve
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from api.workers.jobs import LevelKey
 from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError, printable
+from terrain.geo.clock import time_zone_at
 from terrain.geo.sun import Sun, sun_of
 from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
 from terrain.level.algorithm_names import served_algorithms
@@ -45,7 +46,8 @@ class ServedLevel:
     ``bounds`` is what is looked at, ``data_bounds`` all of the raster: west, south, east, north in degrees, ``None`` in
     a flat world. ``zooms`` are by tile matrix set, ``view_sizes`` (width, height) in pixels by view (``map`` is among them
     whether the level names it or not), ``None`` for a view that cannot be drawn. ``map_crs`` is that of maps that name none,
-    ``lowest_m`` the height of its lowest ground, ``style`` the name of its own style. ``warnings`` are sentences on what may be
+    ``lowest_m`` the height of its lowest ground, ``style`` the name of its own style. ``sun_is_default`` says whether the
+    level names no sun, so that a low one of its place was chosen. ``warnings`` are sentences on what may be
     wrong with it. ``files`` are those that it hangs on, its own first, each with its stamp when it was read.
     """
 
@@ -60,6 +62,7 @@ class ServedLevel:
     map_crs: CRS
     lowest_m: float
     style: str
+    sun_is_default: bool = False
     warnings: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
     stamps: tuple[Stamp, ...] = ()
@@ -73,6 +76,14 @@ class ServedLevel:
     def key(self) -> LevelKey:
         """What render processes are told."""
         return LevelKey(**{**self.origin.model_dump(), "path": self.loaded.path, "version": self.version})
+
+    @cached_property
+    def time_zone(self) -> str | None:
+        """The time zone of the middle of what is looked at, as Europe/Oslo; ``None`` in a flat world."""
+        if self.bounds is None:
+            return None
+        west, south, east, north = self.bounds
+        return time_zone_at((west + east) / 2, (south + north) / 2)
 
     def zooms_in(self, matrix_set: str) -> ZoomRange:
         """The zooms of a tile matrix set.
@@ -130,6 +141,8 @@ class ServedLevel:
             "map_layers": [*MAP_LAYERS, SUN_HOURS_LAYER],
             "algorithms": list(served_algorithms()),
             "sun": sun,
+            "sun_is_default": self.sun_is_default,
+            "time_zone": self.time_zone,
             "warnings": list(self.warnings),
             "tile_matrix_sets": {name: {"minzoom": range_.first, "maxzoom": range_.last} for name, range_ in self.zooms.items()},
         }
@@ -282,7 +295,7 @@ class ServedLevels:
         stamps = file_stamps(files)  # before they are read: what changes meanwhile is seen at the next look
         scene = build_scene(loaded.without_sun)
         try:
-            return _served(with_own_sun(loaded, scene.world, scene.elevation), origin, scene, files, stamps)
+            return _served(loaded, origin, scene, files, stamps)
         finally:
             scene.close()
 
@@ -330,13 +343,15 @@ def _served(
         detail = detail_m(scene)
         zooms_by_set = {name: zoom_range(matrix_set, world, bounds, detail) for name, matrix_set in served_matrix_sets().items()}
         zooms = {name: range_ for name, range_ in zooms_by_set.items() if range_ is not None}
+    sun_is_default = loaded.level.sun is None
+    loaded = with_own_sun(loaded, world, scene.elevation)
     version = level_version(loaded, stamps)
     view_sizes = {name: _view_size(scene, name) for name in {"map": None, **loaded.level.views}}
     for text in scene.warnings:
         log.warning("level %s: %s", loaded.name, text)
     return ServedLevel(
         loaded, origin, version, world, bounds, data_bounds, zooms, view_sizes, scene.map_crs, scene.height_range_m[0],
-        scene.style.name, scene.warnings, files, stamps,
+        scene.style.name, sun_is_default, scene.warnings, files, stamps,
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -91,7 +92,7 @@ class Pool:
     is idle prepares for the levels of ``first_blocks``; the first one may have been ``spawned`` before, by ``first_config``. A
     device without a calibration is given one by ``measure`` while nothing is drawn, and levels that maps are drawn of are probed by
     ``probe``. Loops that are stored nowhere are compiled in the background once a process is ready; ``preparing`` is how far that
-    is, and before that how far the first process is.
+    is, and before that how far the first process is; ``preparing_since`` is when that began, by ``time.monotonic``.
 
     ``basis`` is what plans go by. Another one may take its place at any time: what is begun after that goes by it, in all
     processes, and of what is kept only pictures of its version are found.
@@ -126,6 +127,7 @@ class Pool:
         self.renderer: str | None = None
         self.basis: PlanBasis | None = None
         self.preparing: Preparing | None = Preparing("starting a render process")
+        self.preparing_since = time.monotonic()
         self.compiling = BackgroundCompile(cores(), self._note_preparing)
         self.idle = IdleWork(self._is_busy, self._config.gl_threads)
         self.calibrating = IdleCalibration(settings.calibrate_when_idle, self.idle, self._device, self._use, measure)
@@ -168,6 +170,8 @@ class Pool:
         return bool(self.queued or self.running or self._starting or self.compiling.is_running)
 
     def _note_preparing(self, preparing: Preparing | None) -> None:
+        if self.preparing is None:
+            self.preparing_since = time.monotonic()
         self.preparing = preparing
 
     async def settled(self) -> None:

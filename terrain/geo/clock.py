@@ -87,6 +87,13 @@ def has_day(day: date, clock: tzinfo) -> bool:
     return True
 
 
+def time_zone_at(lon_deg: float, lat_deg: float) -> str | None:
+    """Return the IANA time zone that is kept at a place, as Europe/Oslo; ``None`` where none is known."""
+    import tzfpy  # its borders take 35 MB
+
+    return tzfpy.get_tz((lon_deg + 180.0) % 360.0 - 180.0, lat_deg) or None
+
+
 def date_of(name: str, text: str) -> date:
     """A date from its text, as 2024-03-21. Raises ``InputError``, also for a date that there is not."""
     try:

@@ -10,8 +10,8 @@ import math
 import os
 import re
 import time
-from collections.abc import Callable, Generator, Iterator
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -96,7 +96,8 @@ class Viewer(WatchedPage):
     def __init__(self, page: Page, client: Client) -> None:
         self.address = str(client.base_url)
         super().__init__(page, [self.address])
-        self._bounds: list[float] = next(level["bounds"] for level in client.get("/levels").json() if level["name"] == LEVEL)
+        bounds = {level["name"]: level["bounds"] for level in client.get("/levels").json()}
+        self._bounds: list[float] | None = bounds.get(LEVEL)
 
     def hide_preparations(self) -> None:
         """Tell the page that nothing is left to prepare: what the service compiles in the background has a line of its own."""
@@ -141,6 +142,7 @@ class Viewer(WatchedPage):
         found = re.search(r"map=([\d.]+)/(-?[\d.]+)/(-?[\d.]+)", self.page.url)
         assert found, self.page.url
         zoom, lat, lon = map(float, found.groups())
+        assert self._bounds is not None, f"the service has no {LEVEL}"
         west, south, east, north = self._bounds
         round_the_earth = 512 * 2**zoom
         left, right = (WINDOW["width"] / 2 + (x - lon) / 360 * round_the_earth for x in (west, east))
@@ -172,7 +174,14 @@ def chromium() -> Iterator[Browser]:
 @pytest.fixture(scope="session")
 def service() -> Iterator[Client]:
     """A service of the level with one render process that is ready: what is slow then is the page."""
-    with running(create_app(Settings(workers=1), [find_level(LEVEL)])) as client:
+    with ready_service([find_level(LEVEL)]) as client:
+        yield client
+
+
+@contextmanager
+def ready_service(levels: Sequence[Path]) -> Iterator[Client]:
+    """A service of levels that can draw."""
+    with running(create_app(Settings(workers=1), list(levels))) as client:
         end = time.monotonic() + READY_S
         while client.get("/readyz").status_code != 200:
             assert time.monotonic() < end, "no render process is ready"
@@ -183,6 +192,13 @@ def service() -> Iterator[Client]:
 @pytest.fixture
 def make_viewer(chromium: Browser, service: Client) -> Iterator[Callable[..., Viewer]]:
     """Makes viewers, not yet opened, in windows of their own: of Playwright's ``new_context``."""
+    with viewers_of(chromium, service) as make:
+        yield make
+
+
+@contextmanager
+def viewers_of(chromium: Browser, service: Client) -> Iterator[Callable[..., Viewer]]:
+    """Makes viewers of a service; what went wrong on one of them fails the test."""
     if not (STATIC_FOLDER / "index.html").is_file():
         missing("the viewer is not built: 'make viewer' does it")
     with ExitStack() as stack:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page, ViewportSize, expect
+from playwright.sync_api import Locator, Page, ViewportSize, expect
 
 from tests.browser.conftest import Viewer, missing
 from tests.browser.map_clients import CLIENTS
@@ -15,6 +16,10 @@ from tests.browser.map_clients import CLIENTS
 AXE = CLIENTS / "node_modules" / "axe-core" / "axe.min.js"
 
 PHONE = {"viewport": ViewportSize(width=390, height=844), "has_touch": True, "is_mobile": True}
+
+ACROSS = {"viewport": ViewportSize(width=844, height=390), "has_touch": True, "is_mobile": True}
+SMALL_ACROSS = {"viewport": ViewportSize(width=667, height=375), "has_touch": True, "is_mobile": True}
+"""Phones held across; the second is no wider than some are held upright."""
 
 GRAVE = {"serious", "critical"}
 """Of axe's kinds of impact."""
@@ -132,3 +137,80 @@ def test_colours_can_be_chosen(viewer: Viewer):
     viewer.page.reload()
     viewer.settled()
     assert viewer.pixels()[700, 100].astype(int).sum() < corner / 4
+
+
+@pytest.mark.parametrize("window", [ACROSS, SMALL_ACROSS], ids=["wide", "small"])
+def test_phone_held_across_keeps_its_map(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
+    """Dock and panel leave most of the window to the map, on which all of the level is seen; the panel is a drawer."""
+    viewer = make_viewer(**window)
+    viewer.hide_preparations()
+    viewer.page.goto(viewer.address)
+    viewer.settled()
+    width, height = window["viewport"]["width"], window["viewport"]["height"]
+    side, dock = (viewer.page.locator(part).bounding_box() for part in ("#side", "#sun"))
+    assert side is not None and dock is not None
+    assert dock["y"] > 0.75 * height and dock["x"] >= 0 and dock["x"] + dock["width"] <= width
+    assert viewer.page.locator("#sun").evaluate("each => each.scrollWidth <= each.clientWidth"), "all of the dock is in it"
+    free_px = dock["y"] * width - side["width"] * side["height"]
+    assert free_px > 0.7 * width * height
+    for part in ("#play", "#clock", "#date", "#minutes", "#by"):
+        expect(viewer.page.locator(part)).to_be_in_viewport(ratio=1)
+    beside = viewer.pixels()[8 : int(dock["y"]) - 40, int(side["width"]) + 60 : width - 60]
+    assert (beside != (0xE9, 0xE6, 0xDD)).any(axis=2).mean() > 0.4, "the level"
+    assert not faults(viewer.page)
+
+    drawer = viewer.page.get_by_role("button", name="Open the panel")
+    solid = viewer.page.get_by_label("Three dimensions")
+    expect(solid).to_be_hidden()
+    drawer.click()
+    expect(solid).to_be_in_viewport()
+    expect(viewer.page.locator("#play")).to_be_in_viewport(ratio=1)
+    panel = viewer.page.locator("#side").bounding_box()
+    assert panel is not None and panel["y"] + panel["height"] <= dock["y"], "the sun can be moved meanwhile"
+    assert not faults(viewer.page)
+    viewer.page.get_by_role("button", name="Close the panel").click()
+    expect(solid).to_be_hidden()
+
+
+@pytest.mark.parametrize("window", [PHONE, ACROSS], ids=["upright", "across"])
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
+def test_place_that_is_tapped_stays_in_sight(make_viewer: Callable[..., Viewer], window: dict[str, Any], share: float):
+    """The panel that answers does not lie over it, however much it finds to say."""
+    viewer = make_viewer(**window)
+    viewer.hide_preparations()
+    viewer.page.goto(viewer.address)
+    viewer.settled()
+    dock = viewer.page.locator("#sun").bounding_box()
+    assert dock is not None
+    viewer.page.touchscreen.tap(share * window["viewport"]["width"], max(share, 0.3) * (dock["y"] - 60))
+    expect(viewer.page.locator(".point-answer")).to_have_attribute("aria-busy", "false")
+    expect(viewer.page.locator(".point-answer .note, .point-answer .light, .point-answer .fail").first).to_be_visible()
+    viewer.settled()
+    seen = viewer.page.locator(".point-mark").evaluate("""each => {
+      const {left, top, width, height} = each.getBoundingClientRect();
+      return document.elementsFromPoint(left + width / 2, top + height / 2)[0] === each;
+    }""")
+    assert seen
+
+
+@pytest.mark.parametrize("colors", ["light", "dark"])
+def test_shadow_night_and_sun_can_be_told_apart(make_viewer: Callable[..., Viewer], colors: str):
+    """Side by side in the bar of a day, by their contrast (WCAG 2, 1.4.11: 3 to 1), and night from the panel by its edge."""
+    viewer = make_viewer(color_scheme=colors)
+    viewer.hide_preparations()
+    viewer.open("#point=-84.25,36.3&panel=point")
+    bar = viewer.page.locator(".day-bar")
+    expect(bar).to_be_visible()
+    lights = {name: _luminance(bar.locator(f".{name}").first) for name in ("night", "shadow", "lit")}
+    for one, other in (("night", "shadow"), ("shadow", "lit"), ("night", "lit")):
+        low, high = sorted((lights[one], lights[other]))
+        assert (high + 0.05) / (low + 0.05) > (3 if "night" not in (one, other) or colors == "dark" else 1.3), (one, other)
+    assert bar.evaluate("each => getComputedStyle(each).boxShadow") != "none"
+
+
+def _luminance(part: Locator) -> float:
+    """WCAG's relative luminance of a part's background."""
+    said = part.evaluate("each => getComputedStyle(each).backgroundColor")
+    srgb = np.array([int(each) for each in re.findall(r"\d+", said)[:3]]) / 255
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))

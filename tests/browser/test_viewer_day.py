@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from io import BytesIO
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Route, expect
+from playwright.sync_api import Error, Route, expect
 
 from tests.browser.conftest import Viewer
+from tests.browser.test_viewer_access import faults
 
 DATE = "2024-12-21"
 FIRST, LAST = 8 * 60 - 10, 18 * 60
@@ -33,6 +35,8 @@ class MadeUpDay:
     def __init__(self, viewer: Viewer) -> None:
         self.viewer, self.asked = viewer, []
         self.broken = False
+        self.held: list[Route] | None = None
+        """Requests that wait for an answer; None: none has to."""
         viewer.page.route(re.compile("/tiles/"), self._answer)
 
     def open(self, minutes: int) -> None:
@@ -60,7 +64,17 @@ class MadeUpDay:
         """Wait until the page tells of a time past one, on the same day."""
         self.viewer.page.wait_for_function("least => Number(document.getElementById('minutes').value) > least", arg=minutes)
 
+    def release(self) -> None:
+        """Answer what waits, and what comes."""
+        held, self.held = self.held or [], None
+        for route in held:
+            with suppress(Error):  # nobody wants it any more
+                self._answer(route)
+
     def _answer(self, route: Route) -> None:
+        if self.held is not None:
+            self.held.append(route)
+            return
         (time,) = parse_qs(urlsplit(route.request.url).query)["time"]
         minutes = int(time[11:13]) * 60 + int(time[14:16])
         self.asked.append(route.request.url)
@@ -168,6 +182,52 @@ def test_whoever_moves_the_sun_stops_the_day(day: MadeUpDay):
     day.viewer.settled()
     assert day.minutes == 12 * 60
     assert abs(int(day.picture().max()) - grey(12 * 60)) <= NEAR
+
+
+def test_day_that_waits_says_for_what_and_can_be_stopped(day: MadeUpDay):
+    """In tiles and pictures; what is wanted now is asked for before what comes later, and after a stop nothing more."""
+    day.viewer.hide_preparations()
+    day.open(9 * 60 + 5)
+    day.held = []
+    day.play()
+    status = day.viewer.page.locator("#status")
+    expect(status).to_contain_text(re.compile(r"^Drawing 09:10: 0 of \d+ tiles, 0 of \d+ pictures of the day"))
+    times = [parse_qs(urlsplit(route.request.url).query)["time"][0][11:16] for route in day.held]
+    assert times[0] == "09:10" and times == sorted(times), "first the picture that is wanted now"
+    assert not faults(day.viewer.page)
+    status.get_by_role("button", name="Stop").click()
+    expect(status).to_be_hidden()
+    expect(day.viewer.page.get_by_role("button", name="Play the day")).to_be_visible()
+    day.release()
+    day.viewer.settled()
+    asked = len(day.asked)
+    day.viewer.page.wait_for_timeout(1000)
+    assert len(day.asked) == asked
+    assert day.minutes == 9 * 60 + 5
+
+    day.play()
+    day.after(9 * 60 + 30)
+    expect(status).to_be_hidden()
+
+
+def test_day_begins_once_its_sunrise_is_known(day: MadeUpDay):
+    """Whoever plays before that is told so, and can stop."""
+    waiting: list[Route] = []
+    day.viewer.hide_preparations()
+    day.viewer.page.route(re.compile("/point[?]"), lambda route: waiting.append(route))
+    day.viewer.page.goto(f"{day.viewer.address}/#time={DATE}T09:00:00-05:00")
+    day.viewer.page.wait_for_function("() => document.body.dataset.shown")
+    status = day.viewer.page.locator("#status")
+    day.play()
+    expect(status).to_contain_text("The day begins as soon as its sunrise is known")
+    status.get_by_role("button", name="Stop").click()
+    expect(status).to_be_hidden()
+    day.play()
+    expect(status).to_contain_text("The day begins")
+    day.viewer.page.unroute(re.compile("/point[?]"))
+    for route in waiting:
+        route.continue_()
+    day.after(9 * 60 + 10)
 
 
 def test_a_day_that_fails_says_so(day: MadeUpDay):

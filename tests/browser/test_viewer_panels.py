@@ -32,6 +32,9 @@ ANSWER_MS = 60_000
 LEFT_PX = 400
 """Of what is looked at of the map: right of the panel."""
 
+COVERED_PX = 364
+"""Of the map lie under the panel: the divider goes over the rest."""
+
 LIGHTS = {True: "In the sun", False: "In shadow"}
 
 
@@ -188,7 +191,7 @@ def test_two_times_side_by_side(viewer: Viewer):
     divider = viewer.page.get_by_role("slider", name="Divider of the comparison")
     expect(divider).to_have_attribute("aria-valuetext", "50 %: 17:45 on the left, 09:30 on the right")
     both = _picture(viewer)
-    middle = WINDOW["width"] // 2 - LEFT_PX
+    middle = (COVERED_PX + WINDOW["width"]) // 2 - LEFT_PX
     assert _differing(own[:, : middle - 40], both[:, : middle - 40]) < 0.01
     assert _differing(own[:, middle + 40 :], both[:, middle + 40 :]) > 0.1
     assert not faults(viewer.page)
@@ -221,7 +224,7 @@ def test_two_algorithms_side_by_side(viewer: Viewer):
     viewer.page.mouse.down()
     viewer.page.mouse.move(900, 200, steps=3)
     viewer.page.mouse.up()
-    expect(slider).to_have_attribute("aria-valuenow", "70")
+    expect(slider).to_have_attribute("aria-valuenow", "59")
 
 
 def test_the_plan_says_why(viewer: Viewer):
@@ -236,6 +239,26 @@ def test_the_plan_says_why(viewer: Viewer):
     viewer.settled()
     expect(algorithms.get_by_text("Relief casts nothing")).to_be_visible(timeout=ANSWER_MS)
     assert not faults(viewer.page)
+
+
+def test_plan_leaves_measuring_to_the_service(viewer: Viewer):
+    """Where it measures its device by itself nobody is sent to a command line; and no file is cited that cannot be followed."""
+    states = ["running"]
+    viewer.page.route(
+        re.compile("/readyz$"), lambda route: route.fulfill(json={"status": "ready", "preparing": None, "calibration": states[-1]})
+    )
+    opened(viewer, "plan")
+    algorithms = viewer.page.locator("details.algorithms")
+    algorithms.locator("summary").first.click()
+    cost = algorithms.locator("p.note").first
+    expect(cost).to_contain_text("The service is measuring it, which takes a minute or two", timeout=ANSWER_MS)
+    for each in algorithms.locator("summary").all()[1:]:
+        each.click()
+    text = viewer.page.locator(".plan").inner_text()
+    assert "0.01 % wrong in maps" in text and "docs/" not in text and ".md" not in text and "skugga calibrate" not in text
+    states.append("off")
+    viewer.page.get_by_label("Time", exact=True).fill("16:00")
+    expect(cost).to_contain_text("run skugga calibrate", timeout=ANSWER_MS)
 
 
 def test_layers_in_between_can_be_looked_at(viewer: Viewer):

@@ -30,12 +30,15 @@ class ServiceReadiness:
     def __init__(self, page: Page) -> None:
         self.times: list[float] = []
         self._reply: dict[str, Any] | None = None
+        self.elapsed_s: float | None = None
         page.route(re.compile("/readyz$"), self._answer)
 
     def starting(self, task: str | None = None, done: int = 0, total: int = 0) -> None:
         """Nothing can be drawn yet."""
         problem = {"type": "about:blank", "title": "Service Unavailable", "status": 503, "detail": "No render process is ready."}
-        body = problem | {"preparing": _preparing(task, done, total)}
+        elapsed = {} if self.elapsed_s is None else {"elapsed_s": self.elapsed_s}
+        preparing = _preparing(task, done, total)
+        body = problem | {"preparing": preparing and preparing | elapsed}
         self._reply = {"status": 503, "content_type": "application/problem+json", "json": body}
 
     def ready(self, task: str | None = None, done: int = 0, total: int = 0) -> None:
@@ -121,6 +124,19 @@ def test_card_shows_the_progress(viewer: Viewer, readiness: ServiceReadiness):
     filled, whole = bar.locator("span").bounding_box(), bar.bounding_box()
     assert filled is not None and whole is not None
     assert (filled["x"] + filled["width"] - whole["x"]) / whole["width"] == pytest.approx(57 / 180, abs=0.01)
+
+
+def test_card_counts_from_the_services_start(viewer: Viewer, readiness: ServiceReadiness):
+    """Not from when somebody opened the page."""
+    readiness.elapsed_s = 100.0
+    readiness.starting(TILES, 57, 180)
+    viewer.page.goto(viewer.address)
+    card = viewer.page.locator("#start")
+    expect(card).to_contain_text(re.compile(r"1 min 4\d s so far$"))
+    readiness.elapsed_s = None  # a service of before, which does not say
+    readiness.starting(TILES, 58, 180)
+    viewer.page.reload()
+    expect(card).to_contain_text(re.compile(r"180\d s so far$"))
 
 
 def test_card_tells_the_time_left(viewer: Viewer, readiness: ServiceReadiness):

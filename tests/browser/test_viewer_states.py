@@ -5,13 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from io import BytesIO
+from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image
 from playwright.sync_api import Route, expect
 
 from tests.browser.conftest import WINDOW, Viewer
 from tests.browser.map_clients import served_tiles
+from tests.browser.test_viewer import GROUND
+from tests.browser.test_viewer_access import ACROSS, PHONE
+
+SUNNY = 240, 160, 20
 
 
 def test_a_service_that_does_not_answer(viewer: Viewer):
@@ -37,6 +43,68 @@ def test_a_tile_that_fails(viewer: Viewer):
     status.get_by_role("button", name="Try again").click()
     expect(status).to_be_hidden()
     assert len(np.unique(viewer.shown().pixels.reshape(-1, 3), axis=0)) > 5000
+
+
+@pytest.mark.parametrize("window", [{}, PHONE, ACROSS], ids=["window", "phone", "across"])
+def test_error_of_any_length_stays_in_its_box(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
+    viewer = make_viewer(**window)
+    viewer.forgiven = re.compile("422")
+    detail = f"source: '{'folder/' * 30}{'heights' * 20}.tif' is not allowed; allowed: {'a_word_without_a_break' * 9}"
+    viewer.page.route(re.compile("/tiles/"), lambda route: route.fulfill(status=422, json={"detail": detail}))
+    viewer.page.goto(viewer.address)
+    box = viewer.page.locator("#status.failed")
+    expect(box).to_contain_text("folder/folder/")
+    inner, outer, controls = (
+        viewer.page.locator(part).bounding_box()
+        for part in ("#status p", "#status", ".maplibregl-ctrl-top-right .maplibregl-ctrl-group")
+    )
+    assert inner is not None and outer is not None and controls is not None
+    assert viewer.page.locator("#status p").evaluate("each => each.scrollWidth <= each.clientWidth"), (
+        "the text is as wide as its box"
+    )
+    assert outer["x"] >= 0 and outer["x"] + outer["width"] <= controls["x"]
+    assert outer["y"] <= inner["y"] and inner["y"] + inner["height"] <= outer["y"] + outer["height"]
+    expect(box.get_by_role("button", name="Try again")).to_be_in_viewport(ratio=1)
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ("level=nosuch", "there is no level 'nosuch' here; this is Jacksboro fault, Tennessee"),
+        ("time=yesterday", "time=yesterday is not understood: a time is as 2024-06-21T12:00:00+02:00"),
+        ("time=2024-02-30T10:00:00-04:00", "time=2024-02-30T10:00:00-04:00 is not understood"),
+        ("layer=relief", "layer=relief is not understood: color, shadow, sunhours"),
+        ("azimuth=west&altitude=20", "azimuth=west is not understood"),
+        ("style=baroque", "there is no style 'baroque'"),
+        ("panel=nosuch", "there is no panel 'nosuch'"),
+        ("view=main", "there is no view 'main' to show here"),
+        ("point=here", "point=here is not understood: longitude,latitude"),
+        ("compare=date:tomorrow", "compare=date:tomorrow is not understood"),
+        ("views-eye=1,2&views-target=1,2,3", "views-eye=1,2 is not understood"),
+        ("tiem=12:00", "'tiem' means nothing"),
+    ],
+)
+def test_address_that_means_nothing_is_told_of(viewer: Viewer, part: str, said: str):
+    """In one line, which can be closed, beside the map of what is meant."""
+    viewer.hide_preparations()
+    viewer.open(f"#{part}")
+    line = viewer.page.locator("#notice")
+    expect(line).to_contain_text(said)
+    expect(line).to_contain_text("In the address, ")
+    expect(viewer.page).to_have_title("Jacksboro fault, Tennessee · Skugga")
+    line.get_by_role("button", name="Close").click()
+    expect(line).to_be_hidden()
+
+
+def test_address_of_the_page_itself_is_understood(viewer: Viewer):
+    viewer.hide_preparations()
+    viewer.open("#point=-84.25,36.3&point-height=2&theme=dark")
+    expect(viewer.page).to_have_url(re.compile("level=jacksboro"))
+    expect(viewer.page.locator("#notice")).to_be_hidden()
+    viewer.page.evaluate("() => { location.hash = location.hash.replace('level=', 'level=no'); }")
+    expect(viewer.page.locator("#notice")).to_contain_text("there is no level 'nojacksboro' here")
+    viewer.page.go_back()
+    expect(viewer.page.locator("#notice")).to_be_hidden()
 
 
 def test_a_slow_service(viewer: Viewer):
@@ -91,6 +159,42 @@ def test_a_base_map_that_is_pasted(make_viewer: Callable[..., Viewer]):
 
         viewer.page.get_by_role("button", name="Remove the base map").click()
         assert not (np.abs(viewer.shown().pixels.astype(int) - (220, 60, 60)).max(axis=2) < 3).any()
+
+
+def test_hours_of_sun_never_lie_under_another_legend(viewer: Viewer):
+    """What was seen before is taken away, and a line says what is drawn and how far it is, also for another quantity or date."""
+    waiting: list[Route] = []
+    tile = BytesIO()
+    Image.new("RGB", (256, 256), SUNNY).save(tile, "PNG")
+    viewer.hide_preparations()
+    viewer.page.route(re.compile("/tiles/.*sunhours"), lambda route: waiting.append(route))
+    viewer.open()
+    page, status = viewer.page, viewer.page.locator("#status")
+
+    def off(color: tuple[int, int, int]) -> int:
+        """How far the level, below what is said at the top, is from a colour."""
+        return int(np.abs(viewer.pixels(viewer.place())[80:].astype(int) - color).max())
+
+    def drawn_anew() -> None:
+        expect(status).to_contain_text(re.compile(r"^Drawing hours of sun: 0 of \d+ tiles"), timeout=4000)
+        page.wait_for_function("() => document.body.classList.contains('working')")
+        page.wait_for_timeout(300)
+        assert off(GROUND) < 3, "nothing but the ground's colour"
+        for route in waiting:
+            route.fulfill(body=tile.getvalue(), content_type="image/png")
+        waiting.clear()
+        viewer.shown()
+        expect(status).to_be_hidden()
+        assert off(SUNNY) < 3
+
+    page.get_by_text("Hours of sun", exact=True).first.click()
+    drawn_anew()
+    page.get_by_label("Quantity").select_option("first")
+    drawn_anew()
+    page.get_by_label("Day of the year").fill("172")
+    drawn_anew()
+    page.get_by_text("Shaded", exact=True).click()
+    assert len(np.unique(viewer.shown().pixels.reshape(-1, 3), axis=0)) > 1000
 
 
 def test_hours_of_sun_have_a_legend(viewer: Viewer):

@@ -3,21 +3,58 @@
 import { formatMoment, parseMoment } from './moments';
 import { FIRST_STATE, LAYER_NAMES, QUANTITIES, type State, THEMES, type View } from './state';
 
-const KNOWN = new Set(['level', 'layer', 'style', 'time', 'azimuth', 'altitude', 'quantity', 'base', 'opacity', 'solid', 'theme', 'panel', 'map']);
+const KNOWN = new Set(['level', 'layer', 'style', 'time', 'azimuth', 'altitude', 'quantity', 'base', 'opacity', 'solid', 'theme', 'panel', 'view', 'map']);
+const AZIMUTHS = [0, 360] as const;
+const ALTITUDES = [-90, 90] as const;
+const OPACITIES = [0, 1] as const;
+
+/** The parts of an address by their names; those that are no parts as they stand. */
+function partsOf(hash: string): { parts: Map<string, string>; broken: string[] } {
+  const parts = new Map<string, string>();
+  const broken: string[] = [];
+  for (const part of hash.replace(/^#/, '').split('&').filter(Boolean)) {
+    const cut = part.indexOf('=');
+    try {
+      if (cut < 1) throw new URIError(part);
+      parts.set(part.slice(0, cut), decodeURIComponent(part.slice(cut + 1)));
+    } catch {
+      // A half escape in a hand-written address: the part is left out, the rest counts.
+      broken.push(part);
+    }
+  }
+  return { parts, broken };
+}
+
+/** What of an address means nothing by itself, in words: `readAddress` leaves it out. Names of panels are `own`. */
+export function addressFaults(hash: string, own: readonly string[]): string[] {
+  const { parts, broken } = partsOf(hash);
+  const wrong = (name: string, isRight: (text: string) => boolean, right: string) => {
+    const text = parts.get(name);
+    return text === undefined || isRight(text) ? [] : [`${name}=${text} is not understood: ${right}`];
+  };
+  const range = ([least, most]: readonly [number, number]) => (text: string) => number(text, least, most) !== undefined;
+  const among = (names: readonly string[]) => (text: string) => names.includes(text);
+  return [
+    ...broken.map((part) => `${part} is not understood: a part is name=value`),
+    ...[...parts.keys()].filter((name) => !KNOWN.has(name) && !own.some((panel) => name === panel || name.startsWith(`${panel}-`)))
+      .map((name) => `'${name}' means nothing`),
+    ...wrong('time', (text) => parseMoment(text) !== null, 'a time is as 2024-06-21T12:00:00+02:00'),
+    ...wrong('azimuth', range(AZIMUTHS), 'degrees from 0 to 360'),
+    ...wrong('altitude', range(ALTITUDES), 'degrees from -90 to 90'),
+    ...wrong('layer', among(LAYER_NAMES), LAYER_NAMES.join(', ')),
+    ...wrong('quantity', among(QUANTITIES), QUANTITIES.join(', ')),
+    ...wrong('opacity', range(OPACITIES), 'a number from 0 to 1'),
+    ...wrong('solid', among(['0', '1']), '0 or 1'),
+    ...wrong('theme', among(THEMES), THEMES.join(', ')),
+    ...wrong('map', (text) => readView(text) !== undefined, 'zoom/latitude/longitude'),
+  ];
+}
 
 /** What an address says, without what it leaves open. Parts that mean nothing are as if they were not there. */
 export function readAddress(hash: string): Partial<State> {
-  const parts = new Map<string, string>();
-  for (const part of hash.replace(/^#/, '').split('&')) {
-    const cut = part.indexOf('=');
-    try {
-      if (cut > 0) parts.set(part.slice(0, cut), decodeURIComponent(part.slice(cut + 1)));
-    } catch {
-      // A half escape in a hand-written address: the part is left out, the rest counts.
-    }
-  }
-  const azimuth = number(parts.get('azimuth'), 0, 360);
-  const altitude = number(parts.get('altitude'), -90, 90);
+  const { parts } = partsOf(hash);
+  const azimuth = number(parts.get('azimuth'), ...AZIMUTHS);
+  const altitude = number(parts.get('altitude'), ...ALTITUDES);
   const moment = parseMoment(parts.get('time'));
   const own = Object.fromEntries([...parts].filter(([name]) => !KNOWN.has(name)));
   return defined({
@@ -30,10 +67,11 @@ export function readAddress(hash: string): Partial<State> {
     altitude,
     quantity: one(QUANTITIES, parts.get('quantity')),
     base: parts.get('base'),
-    opacity: number(parts.get('opacity'), 0, 1),
+    opacity: number(parts.get('opacity'), ...OPACITIES),
     solid: parts.has('solid') ? parts.get('solid') === '1' : undefined,
     theme: one(THEMES, parts.get('theme')),
     panel: parts.get('panel'),
+    shot: parts.get('view'),
     view: readView(parts.get('map')),
     own: Object.keys(own).length ? own : undefined,
   });
@@ -47,15 +85,15 @@ export function writeAddress(state: State): string {
     level: state.level || undefined,
     layer: rest('layer'),
     style: state.style ?? undefined,
-    ...(state.sunBy === 'time'
-      ? { time: formatMoment(state) }
-      : { azimuth: String(state.azimuth), altitude: String(state.altitude) }),
+    ...(state.sunBy === 'time' && { time: formatMoment(state) }),
+    ...(state.sunBy === 'angles' && { azimuth: String(state.azimuth), altitude: String(state.altitude) }),
     quantity: state.layer === 'sunhours' ? rest('quantity') : undefined,
     base: rest('base'),
     opacity: rest('opacity'),
     solid: state.solid ? '1' : undefined,
     theme: rest('theme'),
     panel: rest('panel'),
+    view: state.shot ?? undefined,
     ...state.own,
     map: state.view ? writeView(state.view) : undefined,
   };

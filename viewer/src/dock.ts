@@ -2,7 +2,8 @@
 
 import { HeightDial, SkyDial } from './dial';
 import { html } from './dom';
-import { OFFSETS, clockText, dateOfYear, dateText, dayOfYear, daysInYear } from './moments';
+import { OFFSETS, clockText, dateOfYear, dateText, dayOfYear, daysInYear, offsetIn, onDate } from './moments';
+import { placeOf } from './opening';
 import type { State, Store } from './state';
 import { type SunAngles, type SunDay, windOf } from './sun_day';
 
@@ -18,6 +19,8 @@ export interface Dock {
   showPlaying(plays: boolean): void;
   /** Whether the day can be played: before the service draws, it cannot. */
   allowPlaying(allowed: boolean): void;
+  /** Whether there is a date and a time: without a place on the earth there is none. The time zone of the place, if it is known. */
+  setPlace(hasPlace: boolean, zone: string | null): void;
   /** How far pictures of the day are there; null: nothing is waited for. */
   showWaiting(share: number | null): void;
 }
@@ -27,6 +30,8 @@ export function makeDock(container: HTMLElement, store: Store, onPlay: () => voi
   const sky = new SkyDial();
   let day: SunDay | null = null;
   let canPlay: boolean | null = null;
+  let hasPlace = true;
+  let zone: string | null = null;
 
   // --- the parts ----------------------------------------------------------------------------------------------------
 
@@ -54,6 +59,7 @@ export function makeDock(container: HTMLElement, store: Store, onPlay: () => voi
   const altitudeSaid = html('output', { for: 'altitude' });
 
   const byTime = html('div', { class: 'by-time' }, path, byHour, marks, year);
+  const lamps = html('p', { class: 'note lamps' }, 'This level is lit by lamps of its own, without a sun.');
   const byAngles = html(
     'div', { class: 'by-angles' },
     html('label', { for: 'azimuth' }, html('span', {}, 'Azimuth, clockwise from north'), azimuthSaid, azimuth),
@@ -64,7 +70,7 @@ export function makeDock(container: HTMLElement, store: Store, onPlay: () => voi
       'div', { class: 'now' }, play, html('div', { class: 'moment' }, clock, date), sky.element, words,
       html('div', { class: 'more' }, offset, direction),
     ),
-    byTime, byAngles,
+    byTime, byAngles, lamps,
   );
 
   // --- what a person does -------------------------------------------------------------------------------------------
@@ -76,8 +82,12 @@ export function makeDock(container: HTMLElement, store: Store, onPlay: () => voi
     if (hours && rest) store.set({ minutes: Number(hours) * 60 + Number(rest) });
   });
   clock.addEventListener('blur', () => refresh(store.state));
-  date.addEventListener('input', () => { if (date.value) store.set({ date: date.value }); });
-  days.addEventListener('input', () => store.set({ date: dateOfYear(Number(store.state.date.slice(0, 4)), Number(days.value)) }));
+  const setDate = (next: string) => {
+    const { date: before, minutes: at, offset: clockOffset } = store.state;
+    store.set(onDate({ date: before, minutes: at, offset: clockOffset }, next, zone));
+  };
+  date.addEventListener('input', () => { if (date.value) setDate(date.value); });
+  days.addEventListener('input', () => setDate(dateOfYear(Number(store.state.date.slice(0, 4)), Number(days.value))));
   offset.addEventListener('change', () => store.set({ offset: offset.value }));
   direction.addEventListener('click', () => store.set({ sunBy: store.state.sunBy === 'time' ? 'angles' : 'time' }));
   azimuth.addEventListener('input', () => store.set({ azimuth: Number(azimuth.value) }));
@@ -92,13 +102,15 @@ export function makeDock(container: HTMLElement, store: Store, onPlay: () => voi
 
   function refresh(state: State): void {
     const byMoment = state.sunBy === 'time' || state.layer === 'sunhours';
-    container.dataset.by = byMoment ? 'time' : 'angles';
+    container.dataset.by = byMoment ? 'time' : state.sunBy;
+    container.classList.toggle('flat', !hasPlace);
     container.classList.toggle('whole-day', state.layer === 'sunhours');
     byTime.hidden = !byMoment;
-    byAngles.hidden = byMoment;
+    byAngles.hidden = byMoment || state.sunBy === 'none';
+    lamps.hidden = state.sunBy !== 'none';
     minutes.disabled = clock.disabled = state.layer === 'sunhours';
     play.disabled = !canPlay || state.layer === 'sunhours';
-    direction.hidden = state.layer === 'sunhours';
+    direction.hidden = state.layer === 'sunhours' || !hasPlace;
     direction.textContent = byMoment ? 'By direction' : 'By date and time';
     if (document.activeElement !== clock) clock.value = clockText(state.minutes);
     if (date.value !== state.date) date.value = state.date;
@@ -109,6 +121,8 @@ export function makeDock(container: HTMLElement, store: Store, onPlay: () => voi
     days.setAttribute('aria-valuetext', dateText(state.date));
     if (!OFFSETS.includes(state.offset) && !offset.querySelector(`[value="${CSS.escape(state.offset)}"]`)) offset.append(offsetOption(state.offset));
     offset.value = state.offset;
+    const own = zone && offsetIn(zone, new Date(`${state.date}T${clockText(state.minutes)}:00${state.offset}`));
+    for (const option of offset.options) option.text = option.value === own && zone ? `${offsetText(own)} · ${placeOf(zone)}` : offsetText(option.value);
     azimuth.value = String(state.azimuth);
     altitude.value = String(state.altitude);
     azimuthSaid.value = `${state.azimuth}° · ${windOf(state.azimuth)}`;
@@ -155,6 +169,10 @@ export function makeDock(container: HTMLElement, store: Store, onPlay: () => voi
       refresh(store.state);
       if (!day) marks.replaceChildren(allowed ? '' : html('span', { class: 'note' }, 'Sunrise and sunset come with the map.'));
     },
+    setPlace(placed, itsZone) {
+      [hasPlace, zone] = [placed, itsZone];
+      refresh(store.state);
+    },
     showWaiting(share) {
       container.classList.toggle('fetching', share !== null);
       play.style.setProperty('--share', String(share ?? 1));
@@ -168,8 +186,12 @@ function told({ azimuth, altitude }: SunAngles): HTMLElement[] {
 }
 
 function offsetOption(offset: string): HTMLOptionElement {
+  return html('option', { value: offset }, offsetText(offset));
+}
+
+function offsetText(offset: string): string {
   const said = offset.replace('-', '−').replace(/^([+−])0/, '$1').replace(/:00$/, '');
-  return html('option', { value: offset }, said === '+0' ? 'UTC' : `UTC${said}`);
+  return said === '+0' ? 'UTC' : `UTC${said}`;
 }
 
 const sentence = (text: string) => `${text.slice(0, 1).toUpperCase()}${text.slice(1)}.`;

@@ -48,7 +48,14 @@ export function cornersOf({ zoom, left, top, cols, rows }: Range): [[number, num
   return [[west, north], [east, north], [east, south], [west, south]];
 }
 
+/** How many tiles of a picture are there. */
+export interface FrameProgress {
+  readonly done: number;
+  readonly all: number;
+}
+
 export class Frames {
+  readonly #progress = new Map<string, FrameProgress>();
   /** In the order of their last use. */
   readonly #made = new Map<string, HTMLCanvasElement>();
   readonly #coming = new Map<string, Promise<HTMLCanvasElement>>();
@@ -63,6 +70,11 @@ export class Frames {
     return this.#made.get(keyOf(template, range));
   }
 
+  /** How far a picture is that is being put together. */
+  progress(template: string, range: Range): FrameProgress | undefined {
+    return this.#progress.get(keyOf(template, range));
+  }
+
   /** Fetches what it lacks and puts the picture together. Throws as `Service.request` does. */
   async load(template: string, range: Range, signal: AbortSignal): Promise<HTMLCanvasElement> {
     const key = keyOf(template, range);
@@ -72,7 +84,10 @@ export class Frames {
       this.#made.set(key, made);
       return made;
     }
-    const coming = this.#coming.get(key) ?? this.#make(template, range, signal).finally(() => this.#coming.delete(key));
+    const coming = this.#coming.get(key) ?? this.#make(template, range, signal).finally(() => {
+      this.#coming.delete(key);
+      this.#progress.delete(key);
+    });
     this.#coming.set(key, coming);
     const picture = await coming;
     this.#made.set(key, picture);
@@ -88,11 +103,14 @@ export class Frames {
   async #make(template: string, range: Range, signal: AbortSignal): Promise<HTMLCanvasElement> {
     const picture = Object.assign(document.createElement('canvas'), { width: range.cols * TILE_PX, height: range.rows * TILE_PX });
     const pen = picture.getContext('2d');
+    const [key, all] = [keyOf(template, range), range.cols * range.rows];
+    this.#progress.set(key, { done: 0, all });
     const places = Array.from({ length: range.cols * range.rows }, (_, index) => [index % range.cols, Math.floor(index / range.cols)] as const);
     await Promise.all(places.map(async ([x, y]) => {
       const address = template
         .replace('{z}', String(range.zoom)).replace('{x}', String(range.left + x)).replace('{y}', String(range.top + y));
       const bytes = await this.#tiles.bytes(address, signal, true);
+      this.#progress.set(key, { done: (this.#progress.get(key)?.done ?? 0) + 1, all });
       // An empty answer (204) is a tile without data.
       if (!bytes.byteLength) return;
       const tile = await createImageBitmap(new Blob([bytes]));

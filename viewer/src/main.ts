@@ -2,16 +2,21 @@
 
 import { readAddress, writeAddress } from './address';
 import './all_panels';
+import { DayWaitLine } from './day_wait';
 import { type Dock, makeDock } from './dock';
 import { byId, html } from './dom';
 import { Frames } from './frames';
+import { coveredLeft, isSheet } from './layout';
 import { LevelMap } from './map';
-import { noonToday, parseMoment } from './moments';
+import { parseMoment } from './moments';
+import { notice } from './notice';
+import { openingMoment } from './opening';
 import { Player } from './player';
 import { pictureQuery, sunQuery } from './query';
 import type { Readiness } from './readiness';
 import { type Level, type PlacedLevel, type Query, Service, inWords, isAbort, isPlaced } from './service';
 import { makeSide } from './side';
+import { Stage, shotsOf } from './stage';
 import { FIRST_STATE, type State, Store } from './state';
 import { StartCard, noteOf } from './start_card';
 import { Status } from './status';
@@ -19,6 +24,7 @@ import { type SunDay, fetchSunDay } from './sun_day';
 import { keepTheme } from './theme';
 import { Tiles } from './tiles';
 import { veil } from './veil';
+import { wrongParts } from './wrong_parts';
 import './style.css'; // after MapLibre's, which it adjusts
 
 /** Milliseconds without a change before a slider's value is drawn, and before the address is written. */
@@ -45,21 +51,27 @@ const still = matchMedia('(prefers-reduced-motion: reduce)').matches;
 const announce = (words: string) => { byId('said').textContent = words; };
 
 class Page {
-  readonly #status = new Status(() => { this.#tiles.reset(); this.#draw(); this.#learnDay(); });
+  readonly #status = new Status(() => { this.#tiles.reset(); this.#draw(); this.#learnDay(); }, () => this.#stopPlaying());
   readonly #tiles = new Tiles(service, (progress) => this.#status.progress(progress));
   readonly #shown = new LevelMap(byId('map'), this.#tiles, still);
+  readonly #stage = new Stage(byId('stage'), service, store, (waits) => this.#status.working(waits), (words) => this.#status.fail(words));
   readonly #dock: Dock = makeDock(byId('sun'), store, () => this.#togglePlaying());
-  readonly #player = new Player(this.#shown, new Frames(this.#tiles), service, store, () => this.#level, still, {
+  readonly #dayWait = new DayWaitLine((note) => this.#status.waitForDay(note));
+  readonly #player = new Player(this.#shown, new Frames(this.#tiles), service, store, () => this.#level as PlacedLevel, still, {
     step: ({ minutes, sun }) => {
       this.#stepping = true;
       store.set({ minutes });
       this.#stepping = false;
       this.#dock.showSun(sun);
     },
-    waiting: (waits, ready, all) => this.#dock.showWaiting(waits ? ready / all : null),
+    waiting: (wait) => {
+      this.#dock.showWaiting(wait && wait.ready / wait.all);
+      this.#dayWait.see(wait);
+    },
     failed: (words) => this.#status.fail(words),
     playing: (plays) => {
       this.#dock.showPlaying(plays);
+      this.#dayWait.end();
       if (!plays) this.#draw();
     },
   });
@@ -69,8 +81,10 @@ class Page {
   readonly #firstPicture = deferred();
   #wasReady = false;
   #levels: readonly Level[] = [];
-  #level!: PlacedLevel;
+  #level!: Level;
   #day: SunDay | null = null;
+  /** Whether the day is to be played as soon as it is known. */
+  #willPlay = false;
   #stepping = false;
   #asking = new AbortController();
   #learning = new AbortController();
@@ -101,15 +115,16 @@ class Page {
     }
     veil(null);
     const placed = this.#levels.filter(isPlaced);
-    if (!placed[0]) {
-      veil(this.#levels.length ? 'No level here has a place on the earth, so there is no map to show.' : 'The service has no levels.', undefined, true);
+    const first = placed[0] ?? this.#levels[0];
+    if (!first) {
+      veil('The service has no levels.', undefined, true);
       return;
     }
-    this.#level = placed[0];
-    byId('level').replaceChildren(...this.#levels.map((level) => html(
-      'option', { value: level.name, disabled: !isPlaced(level) }, level.title || level.name,
-    )));
-    this.#open(readAddress(location.hash));
+    this.#level = first;
+    const options = (levels: readonly Level[]) => levels.map(({ name, title }) => html('option', { value: name }, title || name));
+    const flat = this.#levels.filter((level) => !isPlaced(level));
+    byId('level').replaceChildren(...options(placed), ...(flat.length ? [html('optgroup', { label: 'Without a map: pictures of their views' }, ...options(flat))] : []));
+    this.#openAddress();
     makeSide((open) => ({
       store, service, open, map: this.#shown.map, levels: this.#levels, level: () => this.#level,
       announce,
@@ -137,26 +152,51 @@ class Page {
 
   // --- levels and places ----------------------------------------------------------------------------------------------
 
+  /** Shows what the page's address says, and says what of it means nothing here. */
+  #openAddress(): void {
+    const said = readAddress(location.hash);
+    this.#open(said);
+    const wrong = wrongParts(location.hash, said, this.#level);
+    notice(wrong.length ? `In the address, ${wrong.join('; ')}.` : null);
+  }
+
   /** Shows what an address says; where it says nothing, a level's own. */
   #open(said: Partial<State>): void {
-    const placed = this.#levels.filter(isPlaced);
-    const level = placed.find(({ name }) => name === said.level) ?? (placed[0] as PlacedLevel);
+    const level = this.#levels.find(({ name }) => name === said.level) ?? this.#levels.find(isPlaced) ?? (this.#levels[0] as Level);
     // A view saved for a level that is not here says nothing about another.
     const meant = said.level === undefined || said.level === level.name ? said : { theme: said.theme ?? 'auto' };
+    notice(null);
     this.#level = level;
     byId<HTMLSelectElement>('level').value = level.name;
     document.title = `${level.title || level.name} · Skugga`;
-    const [west, , east] = level.bounds;
-    const own = level.sun ?? {};
-    const layer = meant.layer && level.map_layers.includes(meant.layer) ? meant.layer : FIRST_STATE.layer;
+    this.#stage.open(level);
+    this.#dock.setPlace(isPlaced(level), level.time_zone ?? null);
+    const { sun } = level;
+    const start: State = { ...FIRST_STATE, azimuth: sun?.azimuth ?? FIRST_STATE.azimuth, altitude: sun?.altitude ?? FIRST_STATE.altitude };
+    const style = meant.style && level.styles?.includes(meant.style) ? meant.style : null;
+    if (!isPlaced(level)) {
+      const { own = {}, theme, panel, shot } = meant;
+      // Only what is set of shadows means anything without a map.
+      const settings = Object.fromEntries(Object.entries(own).filter(([name]) => name.startsWith('plan-')));
+      store.set({
+        ...start, level: level.name, style, own: settings, theme: theme ?? 'auto', panel: panel ?? 'views', sunBy: sun ? 'angles' : 'none',
+        azimuth: meant.azimuth ?? start.azimuth, altitude: meant.altitude ?? start.altitude,
+        shot: shot && shotsOf(level).includes(shot) ? shot : null,
+      });
+      this.#shown.showSolid(null, true);
+      this.#shown.hideLayer();
+      this.#sayWhetherSeen();
+      return;
+    }
+    const byAngles = sun?.time === undefined && sun?.azimuth !== undefined && !level.sun_is_default;
     store.set({
-      ...FIRST_STATE,
-      ...(parseMoment(own.time) ?? noonToday((west + east) / 2)),
-      azimuth: own.azimuth ?? FIRST_STATE.azimuth,
-      altitude: own.altitude ?? FIRST_STATE.altitude,
-      sunBy: own.time === undefined && own.azimuth !== undefined ? 'angles' : 'time',
+      ...start,
+      ...(parseMoment(sun?.time) ?? openingMoment(level)),
+      sunBy: byAngles ? 'angles' : 'time',
       ...meant,
-      layer,
+      style,
+      shot: null,
+      layer: meant.layer && level.map_layers.includes(meant.layer) ? meant.layer : FIRST_STATE.layer,
       level: level.name,
     });
     const { solid, view } = store.state;
@@ -172,17 +212,17 @@ class Page {
 
   /** All of the level, beside what covers the map's edges. */
   #fit(): void {
+    if (!isPlaced(this.#level)) return;
     const [side, dock] = [byId('side').getBoundingClientRect(), byId('sun').getBoundingClientRect()];
-    const phone = window.innerWidth <= 700;
-    const room = 20;
-    const left = phone ? room : side.right + room;
-    const bottom = (phone ? window.innerHeight - Math.min(side.top, dock.top) : window.innerHeight - dock.top) + room;
+    const room = window.innerHeight <= 500 ? 8 : 20;
+    const left = isSheet() ? room : Math.max(coveredLeft(), side.right) + room;
+    const bottom = (isSheet() ? window.innerHeight - Math.min(side.top, dock.top) : window.innerHeight - dock.top) + room;
     const small = window.innerWidth - left < 200 || window.innerHeight - bottom < 200;
     this.#shown.fit(this.#level, small ? { top: 0, bottom: 0, left: 0, right: 0 } : { top: room, right: room, left, bottom });
   }
 
   #sayWhetherSeen(): void {
-    if (this.#shown.sees(this.#level)) veil(null);
+    if (!isPlaced(this.#level) || this.#shown.sees(this.#level)) veil(null);
     else veil(`Nothing is known here. ${this.#level.title || this.#level.name} lies elsewhere.`, { words: 'Take me there', go: () => this.#fit() });
   }
 
@@ -191,26 +231,28 @@ class Page {
   #listen(): void {
     const { map } = this.#shown;
     byId<HTMLSelectElement>('level').addEventListener('change', (event) => {
-      this.#player.stop();
+      this.#stopPlaying();
       const { theme, panel, base, opacity } = store.state;
       this.#open({ level: (event.target as HTMLSelectElement).value, theme, panel, base, opacity });
     });
-    window.addEventListener('hashchange', () => this.#open(readAddress(location.hash)));
+    window.addEventListener('hashchange', () => this.#openAddress());
     map.on('moveend', () => {
+      if (!isPlaced(this.#level)) return;
       store.set({ view: this.#shown.view });
       this.#sayWhetherSeen();
     });
     store.watch(({ base }) => base, (base) => this.#shown.showBase(base));
     store.watch(({ opacity }) => opacity, (opacity) => this.#shown.setOpacity(opacity));
     store.watch(({ level, solid }) => [level, solid], (_, { solid }) => {
-      const template = service.tiles(this.#level.name, { layer: TERRAIN });
-      this.#shown.showSolid(solid ? { template, level: this.#level } : null, still);
+      const level = this.#level;
+      const template = service.tiles(level.name, { layer: TERRAIN });
+      this.#shown.showSolid(solid && isPlaced(level) ? { template, level } : null, still);
     });
-    store.watch((state) => [state.level, pictureQuery(state)], () => {
+    store.watch((state) => [state.level, state.shot, pictureQuery(state)], () => {
       if (this.#stepping) return;
       delete document.body.dataset.shown; // what is drawn is no longer what is asked for
       // Somebody moves the sun, or wants another layer: the day stops.
-      if (this.#player.plays) this.#player.stop();
+      this.#stopPlaying();
       this.#drawSoon();
     });
     store.watch(({ level, date, offset }) => [level, date, offset], () => this.#learnDay());
@@ -247,10 +289,19 @@ class Page {
     this.#asking.abort();
     this.#asking = new AbortController();
     const { signal } = this.#asking;
+    const level = this.#level;
+    this.#status.subject(isPlaced(level) && state.layer === 'sunhours' ? 'Drawing hours of sun' : '');
+    if (!isPlaced(level)) {
+      this.#dock.showSun(state.sunBy === 'angles' ? { azimuth: state.azimuth, altitude: state.altitude } : null);
+      void this.#stage.draw(level, state).then((shown) => {
+        if (shown && !signal.aborted) document.body.dataset.shown = JSON.stringify(query);
+      });
+      return;
+    }
     // Before that tiles would wait in the map's own queue, and those of a base map behind them.
-    if (this.#ready) this.#showPicture(query, signal);
+    if (this.#ready) this.#showPicture(level, query, signal);
     const sun = state.layer === 'sunhours' ? sunQuery(state) : query;
-    service.tileJson(this.#level.name, sun, signal).then(
+    service.tileJson(level.name, sun, signal).then(
       ({ skugga }) => this.#dock.showSun(skugga.sun),
       (error: unknown) => {
         if (!isAbort(error)) this.#status.fail(inWords(error));
@@ -258,10 +309,12 @@ class Page {
     );
   }
 
-  #showPicture(query: Query, signal: AbortSignal): void {
-    this.#shown.showLayer(this.#level.name, {
-      attribution: this.#level.attribution, bounds: this.#level.bounds,
-      minzoom: this.#level.minzoom, maxzoom: this.#level.maxzoom, tiles: [service.tiles(this.#level.name, query)],
+  #showPicture(level: PlacedLevel, query: Query, signal: AbortSignal): void {
+    // Hours of sun are colours that another legend tells of: below it, those of before would say something wrong.
+    const { layer, quantity, date } = store.state;
+    this.#shown.showLayer(JSON.stringify([level.name, layer === 'sunhours' && [quantity, date]]), {
+      attribution: level.attribution, bounds: level.bounds,
+      minzoom: level.minzoom, maxzoom: level.maxzoom, tiles: [service.tiles(level.name, query)],
     });
     this.#shown.setOpacity(store.state.opacity);
     void this.#shown.map.once('idle').then(() => {
@@ -280,7 +333,11 @@ class Page {
     const { signal } = this.#learning;
     const { date, offset } = store.state;
     const level = this.#level;
-    if (this.#day?.offset !== offset) this.#day = null;
+    if (this.#day?.offset !== offset || !isPlaced(level)) this.#day = null;
+    if (!isPlaced(level)) {
+      this.#dock.showDay(null);
+      return;
+    }
     try {
       // A first start has to compile what the day needs, while the map could be drawn.
       await this.#firstPicture.promise;
@@ -288,19 +345,44 @@ class Page {
       const day = await fetchSunDay(service, level, date, offset, signal);
       this.#day = day;
       this.#dock.showDay(day);
+      if (this.#willPlay && day) this.#play(day);
+      else if (this.#willPlay) this.#stopPlaying();
     } catch (error) {
       if (isAbort(error)) return;
+      this.#stopPlaying();
       this.#dock.showDay(null);
       this.#status.fail(inWords(error));
     }
   }
 
+  // --- playing the day ------------------------------------------------------------------------------------------------
+
   #togglePlaying(): void {
-    if (this.#player.plays) this.#player.stop();
-    else if (this.#day && store.state.layer !== 'sunhours') {
-      store.set({ sunBy: 'time' });
-      void this.#player.play(this.#day);
+    if (this.#player.plays || this.#willPlay) this.#stopPlaying();
+    else if (isPlaced(this.#level) && this.#wasReady && store.state.layer !== 'sunhours') {
+      if (this.#day) this.#play(this.#day);
+      else {
+        this.#willPlay = true;
+        this.#dock.showPlaying(true);
+        this.#status.waitForDay({ words: 'The day begins as soon as its sunrise is known', count: '', quiet: false });
+      }
     }
+  }
+
+  #play(day: SunDay): void {
+    this.#willPlay = false;
+    this.#status.waitForDay(null);
+    store.set({ sunBy: 'time' });
+    void this.#player.play(day);
+  }
+
+  #stopPlaying(): void {
+    if (this.#willPlay) {
+      this.#dock.showPlaying(false);
+      this.#status.waitForDay(null);
+    }
+    this.#willPlay = false;
+    if (this.#player.plays) this.#player.stop();
   }
 }
 

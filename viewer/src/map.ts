@@ -6,6 +6,7 @@ import {
 import workerUrl from 'maplibre-gl/dist/maplibre-gl-worker.mjs?worker&url';
 import 'maplibre-gl/dist/maplibre-gl.css';
 
+import { isFolding } from './layout';
 import type { PlacedLevel, TileJson } from './service';
 import type { View } from './state';
 import type { Tiles } from './tiles';
@@ -52,7 +53,7 @@ export class LevelMap {
       canvasContextAttributes: { preserveDrawingBuffer: true },
       locale: { 'Map.Title': 'Map of the level' },
     });
-    this.map.addControl(new AttributionControl({ compact: window.innerWidth <= 700 }), 'bottom-right');
+    this.map.addControl(new AttributionControl({ compact: isFolding() }), 'bottom-right');
     this.map.addControl(new ScaleControl({ maxWidth: 110 }), 'bottom-right');
     this.map.addControl(new NavigationControl({ visualizePitch: true }), 'top-right');
     // Failed tiles have been told by the loader; the listener keeps MapLibre from telling them to the console again.
@@ -64,7 +65,7 @@ export class LevelMap {
     this.map.setPaintProperty(GROUND, 'background-color', color);
   }
 
-  /** Shows tiles of a level; those on screen stay until the new ones are there, unless `key` has changed. */
+  /** Shows tiles of a level; those on screen stay until the new ones are there, unless `key` has changed: they mean something else. */
   showLayer(key: string, tileJson: Omit<TileJson, 'name' | 'skugga'>): void {
     const tiles = tileJson.tiles.map((tile) => SCHEME + tile);
     if (this.#shown === key) {

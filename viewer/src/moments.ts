@@ -1,6 +1,6 @@
 /** Dates and times of day by a clock that is a fixed offset before UTC, as the address and the service's queries have them. */
 
-const ISO = /^(\d{4}-\d\d-\d\d)T(\d\d):(\d\d)(?::\d\d(?:\.\d+)?)?(Z|[+-]\d\d:\d\d)$/;
+const ISO = /^(\d{4}-\d\d-\d\d)T([01]\d|2[0-3]):([0-5]\d)(?::\d\d(?:\.\d+)?)?(Z|[+-]\d\d:\d\d)$/;
 
 export interface Moment {
   readonly date: string;
@@ -15,7 +15,7 @@ const two = (value: number) => String(value).padStart(2, '0');
 /** ISO 8601 text with an offset, to its parts; null if it is none. Seconds are dropped: the page has no field for them. */
 export function parseMoment(text: string | undefined): Moment | null {
   const [, date, hours, minutes, offset] = ISO.exec(text ?? '') ?? [];
-  if (!date || !hours || !minutes || !offset) return null;
+  if (!date || !hours || !minutes || !offset || !isDate(date)) return null;
   return { date, minutes: Number(hours) * 60 + Number(minutes), offset: offset === 'Z' ? '+00:00' : offset };
 }
 
@@ -28,11 +28,31 @@ export function clockText(minutes: number): string {
   return `${two(Math.floor(minutes / 60))}:${two(Math.floor(minutes) % 60)}`;
 }
 
-/** Noon today by the sun's own clock, to the hour, at a longitude in degrees. */
-export function noonToday(longitude: number): Moment {
+/** The offset of a time zone's clock at an instant: +02:00 of Europe/Oslo in summer. Null where the browser does not know the zone. */
+export function offsetIn(zone: string, instant: Date): string | null {
+  try {
+    const parts = new Intl.DateTimeFormat('en-GB', { timeZone: zone, timeZoneName: 'longOffset' }).formatToParts(instant);
+    const name = parts.find(({ type }) => type === 'timeZoneName')?.value ?? '';
+    return /^GMT([+-]\d\d:\d\d)/.exec(name)?.[1] ?? (name === 'GMT' ? '+00:00' : null);
+  } catch {
+    return null;
+  }
+}
+
+/**
+ * A moment on another date by the same clock: where that is the clock of the place's time zone, its offset is that of the date.
+ * An offset that somebody chose stays.
+ */
+export function onDate(moment: Moment, date: string, zone: string | null): Moment {
+  const offset = (day: string) => zone && offsetIn(zone, new Date(`${day}T${clockText(moment.minutes)}:00${moment.offset}`));
+  const kept = offset(moment.date) === moment.offset;
+  return { ...moment, date, offset: (kept && offset(date)) || moment.offset };
+}
+
+/** The offset of the sun's own clock at a longitude in degrees, to the hour. */
+export function offsetAt(longitude: number): string {
   const hours = Math.round(longitude / 15);
-  const offset = `${hours < 0 ? '-' : '+'}${two(Math.abs(hours))}:00`;
-  return { date: new Date().toISOString().slice(0, 10), minutes: 12 * 60, offset };
+  return `${hours < 0 ? '-' : '+'}${two(Math.abs(hours))}:00`;
 }
 
 /** An offset in minutes: -240 of "-04:00". */
@@ -44,6 +64,13 @@ export function offsetMinutes(offset: string): number {
 /** Minutes since the midnight that begins a date by the clock of an offset: of an instant the service tells. */
 export function minutesOfDay(instant: string, { date, offset }: Pick<Moment, 'date' | 'offset'>): number {
   return (Date.parse(instant) - Date.parse(`${date}T00:00:00${offset}`)) / 60_000;
+}
+
+/** Whether a text is a date of the calendar, as 2024-06-21. */
+export function isDate(text: string): boolean {
+  const read = Date.parse(`${text}T00:00:00Z`);
+  // The 31st of a shorter month is read as a day of the next.
+  return /^\d{4}-\d\d-\d\d$/.test(text) && !Number.isNaN(read) && new Date(read).toISOString().startsWith(text);
 }
 
 export function dayOfYear(date: string): number {

@@ -2,8 +2,8 @@
 
 import type { Map as MapLibre } from 'maplibre-gl';
 
-import type { Level, PlacedLevel, Service } from './service';
-import type { Store } from './state';
+import type { Level, Service } from './service';
+import type { State, Store } from './state';
 
 /** What a panel may use. */
 export interface PanelContext {
@@ -13,8 +13,8 @@ export interface PanelContext {
   readonly service: Service;
   /** All levels, also those without a place on the earth. */
   readonly levels: readonly Level[];
-  /** The level that is shown. */
-  level(): PlacedLevel;
+  /** The level that is shown; one without a place only to panels that need no map. */
+  level(): Level;
   /** Opens a panel, and on a phone the sheet that it lies on. */
   open(id: string): void;
   /** Says something in a line to everybody, screen readers included. */
@@ -30,6 +30,10 @@ export interface Panel {
   readonly id: string;
   /** On its tab: a word. */
   readonly title: string;
+  /** Whether it is there for levels without a place on the earth, too. */
+  readonly needsNoMap?: boolean;
+  /** What of its parts of the address means nothing, in words. */
+  faults?(own: State['own']): string[];
   /** Once, when the map is there: to hear clicks on the map and the like while the panel is closed. */
   start?(context: PanelContext): void;
   /** Whenever the panel opens. Returns what takes it away again. */

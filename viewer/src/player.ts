@@ -7,7 +7,7 @@
 
 import type { CanvasSource } from 'maplibre-gl';
 
-import { type Frames, type Range, cornersOf, rangeOver, tilesOfEach } from './frames';
+import { type FrameProgress, type Frames, type Range, cornersOf, rangeOver, tilesOfEach } from './frames';
 import { LAYER, type LevelMap } from './map';
 import { DAY_MINUTES } from './moments';
 import { pictureQuery } from './query';
@@ -21,6 +21,7 @@ const LAST_STEP = DAY_MINUTES / STEP_MIN - 1;
 /** Ten steps a second, and for people who want little motion one, without fading. */
 const STEP_MS = 100;
 const CALM_STEP_MS = 1000;
+const TOLD_MS = 250;
 /** So many pictures ahead are wanted, of which so many are asked for at a time. */
 const AHEAD = 12;
 const AT_ONCE = 2;
@@ -31,11 +32,19 @@ export interface Played {
   readonly sun: SunPlace | null;
 }
 
+/** What playing waits for: the picture of a time, of tiles; so many pictures of the day are there. */
+export interface DayWait {
+  readonly minutes: number;
+  readonly tiles: FrameProgress | null;
+  readonly ready: number;
+  readonly all: number;
+}
+
 export interface PlayerNews {
   /** The player shows a step. */
   step(played: Played): void;
-  /** It waits for a picture, or no longer does. */
-  waiting(waits: boolean, ready: number, all: number): void;
+  /** It waits for a picture, and how far that is; null: it no longer waits. */
+  waiting(wait: DayWait | null): void;
   failed(words: string): void;
   /** It has begun or ended. */
   playing(plays: boolean): void;
@@ -104,7 +113,7 @@ export class Player {
       if (!isAbort(error)) wrong = inWords(error);
     } finally {
       if (this.#ending === ending) this.#ending = null;
-      this.news.waiting(false, 0, 0);
+      this.news.waiting(null);
       if (!this.plays) {
         // A canvas that may change keeps the map from coming to rest.
         this.shown.map.getSource<CanvasSource>(CANVAS)?.pause();
@@ -119,19 +128,33 @@ export class Player {
     for (;;) {
       const range = this.#rangeSeen();
       const template = this.#template(steps[at] ?? 0);
+      // The picture that is wanted now is asked for before those that come after it.
+      const picture = this.frames.get(template, range) ?? this.#waitFor(steps, at, range, signal);
       void this.#fetchAhead(steps, at, range, signal);
-      let picture = this.frames.get(template, range);
-      if (!picture) {
-        const ready = steps.filter((minutes) => this.frames.get(this.#template(minutes), range)).length;
-        this.news.waiting(true, ready, steps.length);
-        picture = await this.#load(steps[at] ?? 0, range, signal);
-        this.news.waiting(false, ready + 1, steps.length);
-      }
+      const whole = await picture;
       // Somebody may have moved the map meanwhile.
       if (same(range, this.#rangeSeen())) {
         this.#lay(range);
-        return picture;
+        return whole;
       }
+    }
+  }
+
+  /** Loads a picture, and tells how far it is meanwhile. */
+  async #waitFor(steps: readonly number[], at: number, range: Range, signal: AbortSignal): Promise<HTMLCanvasElement> {
+    const minutes = steps[at] ?? 0;
+    const template = this.#template(minutes);
+    const tell = () => this.news.waiting({
+      minutes, tiles: this.frames.progress(template, range) ?? null, all: steps.length,
+      ready: steps.filter((each) => this.frames.get(this.#template(each), range)).length,
+    });
+    tell();
+    const telling = setInterval(tell, TOLD_MS);
+    try {
+      return await this.#load(minutes, range, signal);
+    } finally {
+      clearInterval(telling);
+      this.news.waiting(null);
     }
   }
 

@@ -5,8 +5,9 @@ import type { Query } from './service';
 import { settingsQuery } from './shadow_settings';
 import type { State } from './state';
 
-/** The sun: a moment, or a direction. */
+/** The sun: a moment, or a direction; nothing where the level has other lights alone. */
 export function sunQuery(state: State): Query {
+  if (state.sunBy === 'none') return {};
   return state.sunBy === 'time' ? { time: formatMoment(state) } : { azimuth: state.azimuth, altitude: state.altitude };
 }
 

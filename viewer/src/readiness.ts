@@ -5,14 +5,19 @@ export interface Preparation {
   readonly task: string;
   readonly done: number;
   readonly total: number;
+  /** Seconds since the service began to prepare; null: it does not say. */
+  readonly elapsed: number | null;
 }
 
 export interface Readiness {
   /** `starting`: the service answers, but cannot draw yet. */
   readonly phase: 'unknown' | 'unreachable' | 'starting' | 'ready';
   readonly preparing: Preparation | null;
+  /** Whether the service's device is calibrated, in its own word; null: it does not say. */
+  readonly calibration: string | null;
 }
 
+const UNREACHABLE: Readiness = { phase: 'unreachable', preparing: null, calibration: null };
 const NOT_READY = 503;
 /** A proxy sends these where the service behind it does not answer. */
 export const GATEWAY_ERRORS: ReadonlySet<number> = new Set([502, 504]);
@@ -27,16 +32,19 @@ const TIMEOUT_MS = 10_000;
 export function readinessOf(status: number, body: unknown): Readiness {
   const isDocument = typeof body === 'object' && body !== null;
   // A proxy's own 503 is a page.
-  if (GATEWAY_ERRORS.has(status) || (status === NOT_READY && !isDocument)) return { phase: 'unreachable', preparing: null };
+  if (GATEWAY_ERRORS.has(status) || (status === NOT_READY && !isDocument)) return UNREACHABLE;
   const preparing = isDocument && 'preparing' in body ? preparationIn(body.preparing) : null;
-  return { phase: status === NOT_READY ? 'starting' : 'ready', preparing };
+  const calibration = isDocument && 'calibration' in body && typeof body.calibration === 'string' ? body.calibration : null;
+  return { phase: status === NOT_READY ? 'starting' : 'ready', preparing, calibration };
 }
 
 function preparationIn(value: unknown): Preparation | null {
   if (typeof value !== 'object' || value === null) return null;
-  const { task, done, total } = value as Record<string, unknown>;
+  const { task, done, total, elapsed_s: elapsed } = value as Record<string, unknown>;
   const count = (given: unknown) => (typeof given === 'number' && given > 0 ? given : 0);
-  return typeof task === 'string' && task ? { task, done: Math.min(count(done), count(total)), total: count(total) } : null;
+  return typeof task === 'string' && task
+    ? { task, done: Math.min(count(done), count(total)), total: count(total), elapsed: typeof elapsed === 'number' ? elapsed : null }
+    : null;
 }
 
 /** Milliseconds until `/readyz` is asked again; null: no more. */
@@ -49,7 +57,7 @@ export function pauseAfter({ phase, preparing }: Readiness, failures: number): n
 }
 
 export class ReadinessPoll {
-  #current: Readiness = { phase: 'unknown', preparing: null };
+  #current: Readiness = { phase: 'unknown', preparing: null, calibration: null };
   #failures = 0;
   #timer: ReturnType<typeof setTimeout> | undefined;
   #pending: Promise<Readiness> | null = null;
@@ -109,7 +117,7 @@ export class ReadinessPoll {
       const response = await fetch(this.address, { cache: 'no-store', signal });
       return readinessOf(response.status, await response.json().catch(() => null));
     } catch {
-      return { phase: 'unreachable', preparing: null };
+      return UNREACHABLE;
     }
   }
 }

@@ -25,6 +25,10 @@ export interface Level {
   readonly map_layers: readonly string[];
   readonly algorithms: readonly string[];
   readonly sun: { readonly time?: string; readonly azimuth?: number; readonly altitude?: number } | null;
+  /** Whether the level names no sun: `sun` is then one that the service chose. */
+  readonly sun_is_default?: boolean;
+  /** Of its middle, as Europe/Oslo; null where it has no place or none is known. */
+  readonly time_zone?: string | null;
   readonly warnings: readonly string[];
   readonly styles?: readonly string[];
   readonly style?: string;

@@ -1,9 +1,9 @@
 /** The side: tabs of the panels, the panel that is open, and on a phone the sheet that holds them. */
 
 import { byId, html } from './dom';
+import { isFolding, isSheet } from './layout';
 import { type PanelContext, panels } from './panels';
-
-const PHONE = '(max-width: 700px)';
+import { isPlaced } from './service';
 
 /** Fills the side; returns how to open a panel by its id. */
 export function makeSide(makeContext: (open: (id: string) => void) => PanelContext): PanelContext {
@@ -15,10 +15,11 @@ export function makeSide(makeContext: (open: (id: string) => void) => PanelConte
   };
   const context = makeContext((id) => {
     context.store.set({ panel: id });
-    if (matchMedia(PHONE).matches) raise(true);
+    if (isFolding()) raise(true);
   });
   const { store } = context;
-  const open = () => panels().find(({ id }) => id === store.state.panel) ?? panels()[0];
+  const there = () => panels().filter(({ needsNoMap }) => needsNoMap || isPlaced(context.level()));
+  const open = () => there().find(({ id }) => id === store.state.panel) ?? there()[0];
 
   const buttons = panels().map(({ id, title }) => html('button', {
     type: 'button', role: 'tab', id: `tab-${id}`, 'aria-controls': 'panel', onclick: () => context.open(id),
@@ -27,16 +28,21 @@ export function makeSide(makeContext: (open: (id: string) => void) => PanelConte
   // As tabs are known elsewhere: arrows go from one to the next, and round.
   tabs.addEventListener('keydown', (event) => {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-    const at = buttons.findIndex((button) => button === document.activeElement);
-    const next = event.key === 'Home' ? 0 : event.key === 'End' ? buttons.length - 1 : step === undefined ? null : at + step;
+    const shown = buttons.filter(({ hidden }) => !hidden);
+    const at = shown.findIndex((button) => button === document.activeElement);
+    const next = event.key === 'Home' ? 0 : event.key === 'End' ? shown.length - 1 : step === undefined ? null : at + step;
     if (next === null || at < 0) return;
     event.preventDefault();
-    const button = buttons[(next + buttons.length) % buttons.length];
+    const button = shown[(next + shown.length) % shown.length];
     button?.focus();
     button?.click();
   });
 
   let unmount = () => {};
+  store.watch(({ level }) => level, () => {
+    const ids = there().map(({ id }) => `tab-${id}`);
+    for (const button of buttons) button.hidden = !ids.includes(button.id);
+  });
   store.watch(() => open()?.id, (id) => {
     unmount();
     const panel = open();
@@ -63,7 +69,7 @@ function dragSheet(side: HTMLElement, raise: (up: boolean) => void): void {
   const head = side.querySelector('header');
   let from: number | null = null;
   head?.addEventListener('pointerdown', (event) => {
-    if (matchMedia(PHONE).matches && !(event.target as Element).closest('select')) from = event.clientY;
+    if (isSheet() && !(event.target as Element).closest('select')) from = event.clientY;
   });
   window.addEventListener('pointerup', (event) => {
     if (from !== null && Math.abs(event.clientY - from) > 24) raise(event.clientY < from);

@@ -8,7 +8,7 @@ import './start_card.css';
 
 const TICK_MS = 1000;
 const FADE_MS = 300;
-const UNKNOWN: Preparation = { task: 'waiting for a render process', done: 0, total: 0 };
+const UNKNOWN: Preparation = { task: 'waiting for a render process', done: 0, total: 0, elapsed: null };
 
 /** The page's own ridge; the sun goes over it as the work goes on. */
 const RIDGE = '<svg viewBox="3.5 0 15 13" width="60" height="52" aria-hidden="true"><circle class="sun" cx="5.7" cy="11.3" r="1.7"/>'
@@ -81,6 +81,9 @@ export class StartCard {
       clearTimeout(this.#hiding);
     }
     this.#readiness = readiness;
+    // Whoever comes late sees how long it has taken so far, not how long they have looked.
+    const { elapsed = null } = readiness.preparing ?? {};
+    if (elapsed !== null) this.#since = seconds() - elapsed;
     this.#progress.see(readiness.preparing ?? UNKNOWN, seconds());
     this.place.hidden = false;
     this.place.classList.remove('gone');

@@ -23,8 +23,8 @@ export interface State {
   readonly layer: LayerName;
   /** One of the level's `styles`; null: its own. */
   readonly style: string | null;
-  /** Whether the sun is that of a moment or stands in a direction. */
-  readonly sunBy: 'time' | 'angles';
+  /** Whether the sun is that of a moment or stands in a direction; `none`: the level has other lights alone. */
+  readonly sunBy: 'time' | 'angles' | 'none';
   /** The moment: date (YYYY-MM-DD) and minutes of the day by a clock that is `offset` (+02:00) before UTC. */
   readonly date: string;
   readonly minutes: number;
@@ -43,6 +43,8 @@ export interface State {
   readonly theme: Theme;
   /** The panel that is open. */
   readonly panel: string;
+  /** The view that is shown of a level without a place on the earth; null: its first. */
+  readonly shot: string | null;
   /** Null until the map has been placed. */
   readonly view: View | null;
   /** Parts of the address that belong to panels, by their names there: see `own` of `panels.ts`. */
@@ -65,6 +67,7 @@ export const FIRST_STATE: State = {
   solid: false,
   theme: 'auto',
   panel: 'map',
+  shot: null,
   view: null,
   own: {},
 };

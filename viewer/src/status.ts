@@ -20,22 +20,42 @@ export class Status {
   readonly #words = byId('status-words');
   readonly #count = byId('status-count');
   readonly #again = byId<HTMLButtonElement>('again');
+  readonly #halt = byId<HTMLButtonElement>('halt');
   #failure = '';
   #slow = false;
+  /** What is drawn, where that is to be said at once; and what the day waits for. */
+  #subject = '';
+  #day: Note | null = null;
+  #tiles = '';
   #note: Note | null = null;
   #busy = false;
   #timers: ReturnType<typeof setTimeout>[] = [];
 
-  constructor(again: () => void) {
+  constructor(again: () => void, halt: () => void) {
+    this.#halt.addEventListener('click', halt);
     this.#again.addEventListener('click', () => {
       this.clear();
       again();
     });
   }
 
-  progress({ waiting, failed, message }: Progress): void {
+  progress({ waiting, asked, failed, message }: Progress): void {
     if (failed) this.fail(`${failed === 1 ? 'A tile is' : `${failed} tiles are`} missing: ${message}`);
-    this.#work(waiting > 0);
+    this.#tiles = asked > 1 ? `${asked - waiting} of ${asked} tiles` : '';
+    this.working(waiting > 0);
+    if (waiting) this.#refresh();
+  }
+
+  /** Names what is drawn as long as something is, from its beginning on; empty: words come only where it takes long. */
+  subject(words: string): void {
+    this.#subject = words;
+    this.#refresh();
+  }
+
+  /** Says what playing the day waits for, with a way to stop; null: it does not wait. */
+  waitForDay(note: Note | null): void {
+    this.#day = note;
+    this.#refresh();
   }
 
   fail(words: string): void {
@@ -56,7 +76,8 @@ export class Status {
     this.#refresh();
   }
 
-  #work(busy: boolean): void {
+  /** Whether something is on its way. */
+  working(busy: boolean): void {
     if (busy === this.#busy) return;
     this.#busy = busy;
     document.body.dataset.busy = String(busy);
@@ -78,15 +99,26 @@ export class Status {
   }
 
   #refresh(): void {
-    const note = this.#note;
-    const slow = this.#slow && (note?.quiet ?? true) && `Still drawing. ${note?.words ?? 'What nobody has looked at before takes a while.'}`;
-    const words = this.#failure || slow || note?.words || '';
-    const count = !this.#failure && note?.count;
-    this.#box.hidden = !words;
+    const note = this.#said();
+    this.#box.hidden = !note;
     this.#box.classList.toggle('failed', Boolean(this.#failure));
-    this.#box.classList.toggle('quiet', !this.#failure && !slow && note?.quiet === true);
-    if (this.#words.textContent !== words) this.#words.textContent = words;
-    this.#count.textContent = count ? `: ${count}` : '';
+    this.#box.classList.toggle('quiet', note?.quiet === true);
+    if (this.#words.textContent !== (note?.words ?? '')) this.#words.textContent = note?.words ?? '';
+    this.#count.textContent = note?.count ? `: ${note.count}` : '';
     this.#again.hidden = !this.#failure;
+    this.#halt.hidden = Boolean(this.#failure) || !this.#day;
+  }
+
+  /** What matters most of all that there is to say. */
+  #said(): Note | null {
+    const note = this.#note;
+    if (this.#failure) return { words: this.#failure, count: '', quiet: false };
+    if (this.#day) return this.#day;
+    if (!this.#busy || !(note?.quiet ?? true)) return note;
+    if (this.#slow) {
+      const words = `Still drawing. ${note?.words ?? (this.#subject || 'What nobody has looked at before takes a while.')}`;
+      return { words, count: note?.count ?? (this.#subject && this.#tiles), quiet: false };
+    }
+    return this.#subject ? { words: this.#subject, count: this.#tiles, quiet: false } : note;
   }
 }

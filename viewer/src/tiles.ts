@@ -7,6 +7,8 @@ const MOST_BYTES = 128 * 2 ** 20;
 /** How many tiles are on their way, how many failed since the last `reset`, and why the last of them did. */
 export interface Progress {
   readonly waiting: number;
+  /** Since last none was on its way. */
+  readonly asked: number;
   readonly failed: number;
   readonly message: string;
 }
@@ -15,7 +17,7 @@ export class Tiles {
   /** In the order of their last use. */
   readonly #kept = new Map<string, ArrayBuffer>();
   #bytes = 0;
-  #progress: Progress = { waiting: 0, failed: 0, message: '' };
+  #progress: Progress = { waiting: 0, asked: 0, failed: 0, message: '' };
   readonly #service: Service;
   readonly #tell: (progress: Progress) => void;
 
@@ -37,7 +39,7 @@ export class Tiles {
       return kept.slice(0);
     }
     await this.#service.readiness.until(['ready'], signal);
-    if (!quiet) this.#change({ waiting: this.#progress.waiting + 1 });
+    if (!quiet) this.#change({ waiting: this.#progress.waiting + 1, asked: this.#progress.asked + 1 });
     try {
       const response = await this.#service.request(address, { signal });
       const bytes = await response.arrayBuffer();
@@ -47,7 +49,7 @@ export class Tiles {
       if (!quiet && !isAbort(error)) this.#change({ failed: this.#progress.failed + 1, message: inWords(error) });
       throw error;
     } finally {
-      if (!quiet) this.#change({ waiting: this.#progress.waiting - 1 });
+      if (!quiet) this.#change({ waiting: this.#progress.waiting - 1, asked: this.#progress.waiting > 1 ? this.#progress.asked : 0 });
     }
   }
 

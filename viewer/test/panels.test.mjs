@@ -8,7 +8,7 @@ const { otherQuery, parseChoice, sideName } = await load('compare/choice.ts');
 const { afterKey } = await load('compare/divider.ts');
 const { settingsIn } = await load('compare/settings.ts');
 const { bearing_deg, parsePosition, positionText, reach_m, viewYaml, wedge } = await load('views/camera.ts');
-const { choices, effectsInWords, expectation, settingsInWords } = await load('plan/words.ts');
+const { choices, effectsInWords, expectation, isUncalibrated, settingsInWords, withoutFiles } = await load('plan/words.ts');
 const { pictureQuery } = await load('query.ts');
 
 const STATE = { ...FIRST_STATE, level: 'hills', date: '2024-10-21', minutes: 17 * 60 + 45, offset: '-04:00', own: { 'plan-filter': '3' } };
@@ -85,4 +85,26 @@ test('a plan in plain words', () => {
   const target = { max_error: 0.03, max_ms: 200, met: false };
   assert.match(expectation({ policy: 'rules', predicted: null, target, reasons }), /^This device is not calibrated\. Time and error are not predicted/);
   assert.match(expectation({ policy: 'predict', predicted: { ms: 1500, wrong_cast: 0.05 }, target, reasons }), /1\.5 s .* misses the target .* by 2 % of the cast shadow and 1\.3 s\.$/);
+});
+
+test('reasons cite no files, which nobody can follow from a page', () => {
+  const swept = 'relief is a heightfield (docs/sweep-accuracy.md: 0.01 % wrong in maps; docs/selection.md: 0.25 % where views draw fewer triangles)';
+  assert.equal(withoutFiles(swept), 'relief is a heightfield (0.01 % wrong in maps; 0.25 % where views draw fewer triangles)');
+  assert.equal(withoutFiles('leaves need a map (Sindholt 2005, table 1; docs/seeds.md, the advice)'), 'leaves need a map (Sindholt 2005, table 1)');
+  assert.equal(withoutFiles('settings of a map (docs/algorithms.md)'), 'settings of a map');
+  assert.equal(withoutFiles('840 m of relief (also outside)'), '840 m of relief (also outside)');
+  const [{ reason }] = choices({ algorithm: { sun: { relief: 'sweep' } }, reasons: [{ name: 'sun/relief: sweep', reason: swept }] });
+  assert.doesNotMatch(reason, /docs/);
+});
+
+test('a device that the service measures itself is not to be calibrated by hand', () => {
+  const reason = 'this device is not calibrated, so fixed rules choose (to get predictions, run skugga calibrate)';
+  const plan = { policy: 'rules', predicted: null, target: { max_error: 0.03, max_ms: null, met: null }, reasons: [{ name: 'policy rules', reason }] };
+  assert.ok(isUncalibrated(plan));
+  for (const state of ['waiting', 'running', 'paused', 'calibrated', 'failed']) {
+    assert.match(expectation(plan, state), /^This device is not calibrated, so fixed rules choose\. The service /, state);
+    assert.doesNotMatch(expectation(plan, state), /skugga calibrate/, state);
+  }
+  for (const state of ['off', 'none', null]) assert.match(expectation(plan, state), /run skugga calibrate/, String(state));
+  assert.ok(!isUncalibrated({ reasons: [{ name: 'policy rules', reason: 'asked for' }] }));
 });

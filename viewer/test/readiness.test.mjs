@@ -6,18 +6,20 @@ import { load } from './modules.mjs';
 const { ReadinessPoll, pauseAfter, readinessOf } = await load('readiness.ts');
 const { ProgressWatch, elapsedText, leftText } = await load('time_left.ts');
 
-const TILES = { task: 'compiling loops for map tiles', done: 57, total: 180 };
+const TILES = { task: 'compiling loops for map tiles', done: 57, total: 180, elapsed: null };
 
 test('readiness is what the service says', () => {
-  assert.deepEqual(readinessOf(503, { status: 503, preparing: TILES }), { phase: 'starting', preparing: TILES });
-  assert.deepEqual(readinessOf(503, { status: 503 }), { phase: 'starting', preparing: null });
-  assert.deepEqual(readinessOf(200, { status: 'ready', preparing: TILES }), { phase: 'ready', preparing: TILES });
-  assert.deepEqual(readinessOf(200, { status: 'ready', preparing: null }), { phase: 'ready', preparing: null });
+  assert.deepEqual(readinessOf(503, { status: 503, preparing: TILES }), { phase: 'starting', preparing: TILES, calibration: null });
+  assert.deepEqual(readinessOf(503, { status: 503 }), { phase: 'starting', preparing: null, calibration: null });
+  assert.deepEqual(readinessOf(200, { status: 'ready', preparing: TILES }), { phase: 'ready', preparing: TILES, calibration: null });
+  assert.deepEqual(readinessOf(200, { status: 'ready', preparing: null, calibration: 'running' }), { phase: 'ready', preparing: null, calibration: 'running' });
+  const since = readinessOf(503, { preparing: { ...TILES, elapsed_s: 95.5 } }).preparing;
+  assert.deepEqual({ ...since, elapsed_s: undefined }, { ...TILES, elapsed: 95.5, elapsed_s: undefined });
 });
 
 test('a proxy without its service is unreachable, and a hidden address is no obstacle', () => {
   for (const status of [502, 503, 504]) assert.equal(readinessOf(status, null).phase, 'unreachable', String(status));
-  for (const status of [200, 403, 404]) assert.deepEqual(readinessOf(status, null), { phase: 'ready', preparing: null }, String(status));
+  for (const status of [200, 403, 404]) assert.deepEqual(readinessOf(status, null), { phase: 'ready', preparing: null, calibration: null }, String(status));
 });
 
 test('a preparation that means nothing is none, and counts stay within the total', () => {

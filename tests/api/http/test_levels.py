@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from tests.api.conftest import SUN, Client
+from api.http.served_levels import ServedLevels
+from tests.api.conftest import SUN, Client, write_level
 
 TILEJSON = "/levels/{}/WebMercatorQuad/tilejson.json"
 
@@ -46,11 +47,21 @@ def test_levels(client: Client):
     assert hills["minzoom"] < hills["maxzoom"]
     assert hills["tile_matrix_sets"]["WebMercatorQuad"] == {key: hills[key] for key in ("minzoom", "maxzoom")}
     assert client.get("/levels/hills").json() == hills
+    assert hills["time_zone"] == "Europe/Zurich"
+    assert not hills["sun_is_default"]
+
+
+def test_level_without_a_sun_says_that_its_sun_was_chosen(tmp_path):
+    (level,) = ServedLevels([write_level(tmp_path, "bare", sun=None)]).known()
+    bare = level.summary()
+    assert bare["sun_is_default"]
+    assert set(bare["sun"]) == {"azimuth", "altitude"}, "a low one of its place, at no time"
 
 
 def test_a_flat_world_is_listed_without_a_place(client: Client):
     site = client.get("/levels/site").json()
     assert (site["bounds"], site["minzoom"], site["maxzoom"], site["tile_matrix_sets"]) == (None, None, None, {})
+    assert site["time_zone"] is None
     assert client.get("/levels/site/plan").json()["view"] == "map"
 
 

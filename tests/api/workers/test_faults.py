@@ -4,6 +4,7 @@ import functools
 import os
 import signal
 import socket
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import get_context
@@ -131,7 +132,11 @@ def test_a_first_start_tells_how_far_it_is_and_lets_tiles_wait(serve_with):
         waiting = thread.submit(client.get, tile())
         while (problem := check_problem(client.get("/readyz"), 503, "not_ready", None))["preparing"]["total"] == 0:
             pass
+        elapsed_s = problem["preparing"].pop("elapsed_s")
         assert problem["preparing"] == {"task": "compiling loops for map tiles", "done": 3, "total": 9}
+        time.sleep(1.0)
+        later = client.get("/readyz").json()["preparing"]["elapsed_s"]
+        assert 1.0 <= later - elapsed_s < SOON_S, "seconds since the service began, whoever asks"
         assert client.get("/levels").status_code == 200, "what needs no drawing is there"
         assert not waiting.done()
         go.release()

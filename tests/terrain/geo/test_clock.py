@@ -1,4 +1,4 @@
-"""Names of clocks: what is understood, what is answered with the nearest spelling, and days that a calendar leaves out."""
+"""Names of clocks: what is understood, what is answered with the nearest spelling, days that a calendar leaves out, and the clock of a place."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from zoneinfo import ZoneInfo
 import pytest
 
 from terrain.errors import InputError
-from terrain.geo.clock import clock_named, day_ends, has_day
+from terrain.geo.clock import clock_named, day_ends, has_day, time_zone_at
 
 APIA = ZoneInfo("Pacific/Apia")
 
@@ -58,3 +58,20 @@ def test_a_day_that_samoa_left_out_has_no_ends():
         day_ends(date(2011, 12, 30), APIA, "to")
     (_, last), (first, _) = (day_ends(date(2011, 12, day), APIA) for day in (29, 31))
     assert last.astimezone(UTC) == first.astimezone(UTC) == datetime(2011, 12, 30, 10, tzinfo=UTC)
+
+
+@pytest.mark.parametrize(
+    ("lon_deg", "lat_deg", "zone"),
+    [
+        (8.4, 47.5, "Europe/Zurich"),
+        (-3.7, 40.4, "Europe/Madrid"),
+        (-84.2, 36.3, "America/New_York"),
+        (-104.0, 39.7, "America/Denver"),
+        (85.3, 27.7, "Asia/Kathmandu"),
+        (360.0 + 8.4, 47.5, "Europe/Zurich"),
+        (-180.5, -16.6, "Pacific/Fiji"),
+    ],
+)
+def test_time_zone_is_that_of_the_place(lon_deg: float, lat_deg: float, zone: str):
+    """Not that of the meridian: Madrid keeps the clock of Berlin. Longitudes go round the earth."""
+    assert time_zone_at(lon_deg, lat_deg) == zone

@@ -1,6 +1,7 @@
 /** The line between two maps: it is dragged, or moved by the keys of a slider. */
 
 import { html } from '../dom';
+import { coveredLeft } from '../layout';
 
 const STEP = 0.02;
 const PAGE = 0.1;
@@ -42,7 +43,8 @@ export class Divider {
     this.#handle.addEventListener('pointermove', (event) => {
       if (!this.#handle.hasPointerCapture(event.pointerId)) return;
       const { left, width } = this.place.getBoundingClientRect();
-      moved(Math.min(Math.max((event.clientX - left) / width, 0), 1));
+      const covered = coveredLeft();
+      moved(Math.min(Math.max((event.clientX - left - covered) / (width - covered), 0), 1));
     });
     place.append(this.element);
   }
@@ -50,7 +52,7 @@ export class Divider {
   show(split: number, left: string, right: string): void {
     this.#split = split;
     const percent = Math.round(100 * split);
-    this.element.style.setProperty('--split', `${100 * split}%`);
+    this.element.style.setProperty('--split', String(split));
     this.#left.textContent = left;
     this.#right.textContent = right;
     this.#handle.setAttribute('aria-valuenow', String(percent));

@@ -45,7 +45,7 @@ export class OtherMap {
   }
 
   split(share: number): void {
-    this.#box.style.setProperty('--split', `${100 * share}%`);
+    this.#box.style.setProperty('--split', String(share));
   }
 
   remove(): void {

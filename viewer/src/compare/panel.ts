@@ -178,4 +178,9 @@ function said(words: string): HTMLElement {
   return html('p', { class: 'note' }, words);
 }
 
-export const comparePanel: Panel = { id: 'compare', title: 'Compare', start, mount };
+/** What of the address's parts compares nothing. */
+function faults({ [COMPARE]: text }: State['own']): string[] {
+  return text === undefined || parseChoice(text) ? [] : [`${COMPARE}=${text} is not understood: as time:09:00, date:2024-06-21 or layer:shadow`];
+}
+
+export const comparePanel: Panel = { id: 'compare', title: 'Compare', start, faults, mount };

@@ -4,14 +4,16 @@ import { html } from '../dom';
 import { TILE_SIZE } from '../map';
 import type { Panel, PanelContext } from '../panels';
 import { sunQuery } from '../query';
-import { inWords, isAbort } from '../service';
+import { inWords, isAbort, isPlaced } from '../service';
 import { settingsQuery, withSetting } from '../shadow_settings';
+import { shotsOf } from '../stage';
 import { openPicture, snapshotQuery } from '../views/snapshot';
-import { viewTitle } from '../views/panel';
-import { type Named, type Plan, choices, effectsInWords, expectation, rejectedInWords, settingsInWords } from './words';
+import { viewTitle } from '../views/titles';
+import { type Named, type Plan, choices, effectsInWords, expectation, isCalibrating, isUncalibrated, rejectedInWords, settingsInWords } from './words';
 import './plan.css';
 
 const CALM_MS = 300;
+const CALIBRATING_MS = 10_000;
 
 function mount(container: HTMLElement, context: PanelContext): () => void {
   const { store, map, service, level } = context;
@@ -39,7 +41,8 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
   const plan = async () => {
     const { state } = store;
     // The ways to the algorithms stay the same whatever is chosen; hours of sun have no plan of one sun.
-    const url = service.of(level().name, 'plan', { zoom: tileZoom(context), ...sunQuery(state), ...settingsQuery(state) });
+    const seen = isPlaced(level()) ? { zoom: tileZoom(context) } : { view: state.shot ?? shotsOf(level())[0] };
+    const url = service.of(level().name, 'plan', { ...seen, ...sunQuery(state), ...settingsQuery(state) });
     if (url === planned) return;
     planning.abort();
     planning = new AbortController();
@@ -53,7 +56,15 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
       fill(taken, choices(found));
       fill(chosen, settingsInWords(found));
       fill(rejected, rejectedInWords(found.rejected));
-      cost.textContent = expectation(found);
+      if (isUncalibrated(found)) await service.readiness.check();
+      if (signal.aborted) return;
+      const { calibration } = service.readiness.current;
+      cost.textContent = expectation(found, calibration);
+      // The plan is another one as soon as the service knows its device.
+      if (isUncalibrated(found) && isCalibrating(calibration)) {
+        planned = '';
+        timer = window.setTimeout(() => void plan(), CALIBRATING_MS);
+      }
       failed.hidden = true;
       body.hidden = false;
     } catch (error) {
@@ -69,7 +80,7 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
     clearTimeout(timer);
     timer = window.setTimeout(() => void plan(), CALM_MS);
   };
-  const end = store.watch((state) => [state.level, sunQuery(state), settingsQuery(state)] as const, (_, state) => {
+  const end = store.watch((state) => [state.level, state.shot, sunQuery(state), settingsQuery(state)] as const, (_, state) => {
     if (document.activeElement !== algorithm) {
       const asked = state.own['plan-algorithm'] ?? '';
       algorithm.replaceChildren(html('option', { value: '' }, 'what the service finds best'),
@@ -113,11 +124,11 @@ function layersBetween({ store, service, level }: PanelContext): Node[] {
 /** The zoom of the tiles on screen, within those that the level has. */
 function tileZoom({ map, level }: PanelContext): number {
   const { minzoom, maxzoom } = level();
-  return Math.min(Math.max(Math.round(map.getZoom() + Math.log2(512 / TILE_SIZE)), minzoom), maxzoom);
+  return Math.min(Math.max(Math.round(map.getZoom() + Math.log2(512 / TILE_SIZE)), minzoom ?? 0), maxzoom ?? 22);
 }
 
 function fill(list: HTMLElement, items: readonly Named[]): void {
   list.replaceChildren(...items.flatMap(({ name, reason }) => [html('dt', {}, name), html('dd', {}, reason)]));
 }
 
-export const planPanel: Panel = { id: 'plan', title: 'Why', mount };
+export const planPanel: Panel = { id: 'plan', title: 'Why', needsNoMap: true, mount };

@@ -59,7 +59,33 @@ function together(list: readonly Named[]): Named[] {
 }
 
 function sentence(reason: string): string {
-  return reason && `${capital(aloud(reason))}.`;
+  return reason && `${capital(aloud(withoutFiles(reason)))}.`;
+}
+
+/** A reason without the files that it cites, which nobody can follow from here; what it says of them stays. */
+export function withoutFiles(reason: string): string {
+  return reason.replace(/ ?\(([^()]*docs\/[^()]*)\)/g, (_, cited: string) => {
+    const kept = cited.split('; ').map((part) => (part.includes('docs/') ? part.replace(/^[^:]*docs\/[\w-]+\.md[^:]*(: )?/, '') : part)).filter(Boolean);
+    return kept.length ? ` (${kept.join('; ')})` : '';
+  });
+}
+
+const BY_HAND = / \(to get predictions, run skugga calibrate\)/;
+
+/** What of the service's device is still to be measured, by its own word for it; null: nothing, or it does not say. */
+const CALIBRATING: Readonly<Record<string, string>> = {
+  waiting: 'The service measures it as soon as nothing is drawn',
+  running: 'The service is measuring it, which takes a minute or two while nothing is drawn',
+  paused: 'The service is measuring it, and goes on when nothing is drawn',
+  calibrated: 'The service has measured it just now: what is drawn next goes by predictions',
+  failed: 'The service could not measure it; its log says why',
+};
+
+export const isCalibrating = (calibration: string | null) => ['waiting', 'running', 'paused'].includes(calibration ?? '');
+
+/** Whether fixed rules chose, since the device is not calibrated. */
+export function isUncalibrated({ reasons }: Pick<Plan, 'reasons'>): boolean {
+  return reasons.some(({ name, reason }) => name.startsWith('policy') && BY_HAND.test(reason));
 }
 
 /** What is taken: kinds of casters of one light with one algorithm and one reason go together. */
@@ -87,12 +113,16 @@ export function settingsInWords(plan: Pick<Plan, 'reasons'>): Named[] {
     .map(({ name, reason }) => ({ name: capital(aloud(name)), reason: sentence(reason) }));
 }
 
-/** What the plan is expected to cost, held against what was asked. */
-export function expectation({ policy, predicted, target, reasons }: Pick<Plan, 'policy' | 'predicted' | 'target' | 'reasons'>): string {
+/** What the plan is expected to cost, held against what was asked; `calibration` is how the service stands with that of its device. */
+export function expectation(
+  { policy, predicted, target, reasons }: Pick<Plan, 'policy' | 'predicted' | 'target' | 'reasons'>, calibration: string | null = null,
+): string {
   const asked = `at most ${percent(target.max_error)} of the cast shadow wrong${target.max_ms === null ? '' : `, within ${duration(target.max_ms)}`}`;
   if (!predicted) {
     const why = reasons.find(({ name }) => name.startsWith('policy'))?.reason;
-    return `${why ? `${capital(why)}. ` : ''}Time and error are not predicted; asked for: ${asked}.`;
+    const measured = CALIBRATING[calibration ?? ''];
+    const said = measured && why ? `${why.replace(BY_HAND, '')}. ${measured}` : why;
+    return `${said ? `${capital(said)}. ` : ''}Time and error are not predicted; asked for: ${asked}.`;
   }
   const said = `${policy === 'measure' ? 'Measured' : 'Expected'}: ${duration(predicted.ms)} of shadow work for a block of 1024 pixels, `
     + `${percent(predicted.wrong_cast)} of the cast shadow wrong.`;

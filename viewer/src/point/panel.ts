@@ -3,6 +3,7 @@
 import { Marker } from 'maplibre-gl';
 
 import { html } from '../dom';
+import { freeArea } from '../layout';
 import { clockText, dateText } from '../moments';
 import type { Panel, PanelContext } from '../panels';
 import { handOver } from '../picking';
@@ -19,6 +20,8 @@ const PLACE = 'point';
 const HEIGHT = 'point-height';
 /** Without a change for so long, the exact answer is asked for: while the day plays, that of the day's intervals is shown. */
 const CALM_MS = 250;
+/** So far from the edge of what is seen a place has to be. */
+const MARGIN_PX = 24;
 
 /** Where is asked: degrees, and metres above the ground. */
 interface Asked {
@@ -38,10 +41,15 @@ export function askedIn(own: State['own']): Asked | null {
   return own[PLACE] && Number.isFinite(lon) && Math.abs(lat) <= 90 ? { lon, lat, height: height >= 0 ? height : 0 } : null;
 }
 
-/** Asks at a place; the panel opens. */
-function ask({ store, open }: PanelContext, { lng, lat }: { lng: number; lat: number }): void {
+/** Asks at a place; the panel opens, and the map moves where the place would lie under it. */
+function ask({ store, open, map }: PanelContext, { lng, lat }: { lng: number; lat: number }): void {
   store.setOwn({ [PLACE]: `${lng.toFixed(6)},${lat.toFixed(6)}` });
   open(pointPanel.id);
+  const { x, y } = map.project([lng, lat]);
+  const { left, top, right, bottom } = freeArea();
+  if (x > left + MARGIN_PX && x < right - MARGIN_PX && y > top + MARGIN_PX && y < bottom - MARGIN_PX) return;
+  const { clientWidth, clientHeight } = map.getContainer();
+  map.easeTo({ center: [lng, lat], offset: [(left + right - clientWidth) / 2, (top + bottom - clientHeight) / 2] });
 }
 
 function start(context: PanelContext): void {
@@ -209,4 +217,9 @@ function intervalList({ day }: Report): HTMLElement {
     timeElement(from), '–', timeElement(to), ` · ${length}`, hides && html('span', {}, capital(hides)))));
 }
 
-export const pointPanel: Panel = { id: 'point', title: 'Point', start, mount };
+/** What of the address's parts is no place. */
+function faults(own: State['own']): string[] {
+  return own[PLACE] === undefined || askedIn(own) ? [] : [`${PLACE}=${own[PLACE]} is not understood: longitude,latitude`];
+}
+
+export const pointPanel: Panel = { id: 'point', title: 'Point', start, faults, mount };

@@ -2,9 +2,11 @@
 
 import { html } from '../dom';
 import type { Panel, PanelContext } from '../panels';
-import type { PlacedLevel } from '../service';
+import { type Level, isPlaced } from '../service';
 import { mountMaker } from './maker';
+import { parsePosition } from './camera';
 import { Picture, openPicture, snapshotQuery } from './snapshot';
+import { viewTitle } from './titles';
 import './views.css';
 
 const THUMBNAIL_PX = 240;
@@ -18,11 +20,6 @@ export function thumbnailSize(size: readonly [number, number] | null): string {
     : `${Math.max(Math.round((THUMBNAIL_PX * width) / height), 1)}x${THUMBNAIL_PX}`;
 }
 
-export function viewTitle(name: string): string {
-  const words = name.replaceAll('_', ' ');
-  return words.slice(0, 1).toUpperCase() + words.slice(1);
-}
-
 function mount(container: HTMLElement, context: PanelContext): () => void {
   const { store } = context;
   const gallery = html('section', { 'aria-label': 'Views of the level' });
@@ -32,6 +29,8 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
   const endLevel = store.watch(({ level }) => level, () => {
     closeGallery();
     closeGallery = mountGallery(gallery, context, context.level());
+    // Eyes and targets are longitudes and latitudes.
+    maker.hidden = !isPlaced(context.level());
   });
   const closeMaker = mountMaker(maker, context);
   return () => {
@@ -41,7 +40,7 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
   };
 }
 
-function mountGallery(container: HTMLElement, { store, service }: PanelContext, level: PlacedLevel): () => void {
+function mountGallery(container: HTMLElement, { store, service }: PanelContext, level: Level): () => void {
   const pictures = new Map<string, Picture>();
   const list = html('ul', { class: 'gallery' });
   for (const name of level.views) {
@@ -76,4 +75,10 @@ function mountGallery(container: HTMLElement, { store, service }: PanelContext, 
   };
 }
 
-export const viewsPanel: Panel = { id: 'views', title: 'Views', mount };
+/** What of the address's parts is no place. */
+function faults(own: Readonly<Record<string, string>>): string[] {
+  return ['views-eye', 'views-target'].filter((name) => own[name] !== undefined && !parsePosition(own[name]))
+    .map((name) => `${name}=${own[name]} is not understood: longitude,latitude,metres above the ground`);
+}
+
+export const viewsPanel: Panel = { id: 'views', title: 'Views', needsNoMap: true, faults, mount };

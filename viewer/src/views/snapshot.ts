@@ -26,9 +26,22 @@ export class Picture {
     this.element = html('span', { class: 'picture' }, this.#image, this.#words);
   }
 
-  /** Shows what an address gives; the picture before stays until then. */
-  async show(address: string): Promise<void> {
-    if (address === this.#address) return;
+  /** What is said in its place; empty where it is seen. */
+  get words(): string {
+    return this.#words.textContent ?? '';
+  }
+
+  /** Says what it is of, for those who do not see it. */
+  describe(alt: string): void {
+    this.#image.alt = alt;
+  }
+
+  /**
+   * Shows what an address gives; the picture before stays until then. Resolves with whether it is seen; null: another one was
+   * asked for meanwhile.
+   */
+  async show(address: string): Promise<boolean | null> {
+    if (address === this.#address) return this.element.classList.contains('busy') ? null : !this.#image.hidden;
     this.#address = address;
     this.#loading.abort();
     this.#loading = new AbortController();
@@ -37,7 +50,7 @@ export class Picture {
     this.#words.textContent = this.#image.hidden ? 'Drawing …' : '';
     try {
       const blob = await (await this.service.request(address, { signal })).blob();
-      if (signal.aborted) return;
+      if (signal.aborted) return null;
       this.#forget();
       this.#blob = URL.createObjectURL(blob);
       this.#image.src = this.#blob;
@@ -46,12 +59,13 @@ export class Picture {
       this.#words.textContent = '';
       this.onShown();
     } catch (error) {
-      if (isAbort(error) || signal.aborted) return;
+      if (isAbort(error) || signal.aborted) return null;
       this.#address = '';
       this.#image.hidden = true;
       this.#words.textContent = inWords(error);
     }
     this.element.classList.remove('busy');
+    return !this.#image.hidden;
   }
 
   /** Ends what it does. */

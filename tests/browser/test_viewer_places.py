@@ -1,0 +1,179 @@
+"""The viewer of levels of all kinds: scenes without a place on the earth, and rasters that say nothing of a sun."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, expect
+
+from api.catalogue import find_level
+from tests.api.conftest import Client, write_level
+from tests.browser.conftest import WINDOW, Viewer, ready_service, viewers_of
+from tests.browser.test_viewer_access import PHONE, faults
+from tests.rasters import ENGINEERING
+
+STREET, LAMPS = "thesis_street_sun", "thesis_boxgrid"
+
+EVENING = "2026-06-21T20:00:00Z"
+
+LEFT_PX = 400
+"""Of what is looked at: right of the panel."""
+
+
+@pytest.fixture(scope="session")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    """A service of ``bare``, a raster without a sun; ``directed``, whose file has one in a direction; ``site``, a raster that is
+    not georeferenced; and two scenes, of which one is lit by a lamp alone.
+    """
+    folder: Path = tmp_path_factory.mktemp("places")
+    levels = [write_level(folder, "bare", sun=None), write_level(folder, "directed"), write_level(folder, "site", ENGINEERING)]
+    with ready_service([*levels, find_level(STREET), find_level(LAMPS)]) as client:
+        yield client
+
+
+@pytest.fixture
+def make_places(chromium: Browser, places: Client) -> Iterator[Callable[..., Viewer]]:
+    """Makes viewers of that service."""
+    with viewers_of(chromium, places) as make:
+        yield make
+
+
+@pytest.fixture
+def place(make_places: Callable[..., Viewer]) -> Viewer:
+    """A viewer of that service."""
+    return make_places()
+
+
+def opened(viewer: Viewer, fragment: str) -> Viewer:
+    """The viewer at an address, once all is drawn."""
+    viewer.hide_preparations()
+    viewer.page.goto(f"{viewer.address}/{fragment}")
+    viewer.settled()
+    return viewer
+
+
+def snapshots(viewer: Viewer) -> list[dict[str, list[str]]]:
+    """What was asked of whole views so far, without the small ones of the panel."""
+    asked = [each for each in viewer.asked if "/snapshot.png" in each]
+    return [parse_qs(urlsplit(each).query) for each in asked]
+
+
+def colors(viewer: Viewer) -> int:
+    """How many colours the picture on the stage has."""
+    box = viewer.page.locator("#stage .shot img").bounding_box()
+    assert box is not None
+    return len(np.unique(viewer.pixels(box).reshape(-1, 3), axis=0))
+
+
+def test_scene_without_a_place_shows_its_views(place: Viewer):
+    """It can be chosen, says why there is no map, and its views are drawn under the sun of the sliders."""
+    opened(place, "#level=bare")
+    level = place.page.get_by_label("Level", exact=True)
+    expect(level.locator("optgroup")).to_have_attribute("label", "Without a map: pictures of their views")
+    expect(level.locator("option:disabled")).to_have_count(0)
+    level.select_option(STREET)
+    stage = place.page.locator("#stage")
+    expect(stage).to_contain_text("This level is not georeferenced: there is no map of it, and no sun by date and time.")
+    place.settled()
+    assert colors(place) > 1000
+    (first,) = snapshots(place)
+    assert (first["view"], first["azimuth"], first["altitude"]) == (["main"], ["117"], ["32"])
+    assert place.page.get_by_role("tab").all_inner_texts() == ["Views", "Why"]
+    expect(place.page.locator("#map")).to_be_hidden()
+    expect(place.page.locator("#play")).to_be_hidden()
+    expect(place.page.locator("#by")).to_be_hidden()
+
+    stage.get_by_text("Overview").click()
+    place.settled()
+    expect(place.page).to_have_url(re.compile(f"level={STREET}.*azimuth=117&altitude=32.*view=overview"))
+    place.page.get_by_label("Height above the horizon").fill("12")
+    place.settled()
+    assert snapshots(place)[-1]["view"] == ["overview"] and snapshots(place)[-1]["altitude"] == ["12"]
+    place.page.get_by_role("tab", name="Why").click()
+    expect(place.page.locator(".plan")).to_contain_text("Shadows of ridges, houses and trees")
+    assert not faults(place.page)
+
+    level.select_option("bare")
+    place.settled()
+    expect(stage).to_be_hidden()
+    expect(place.page.get_by_role("tab", name="Point")).to_be_visible()
+    assert any("/tiles/" in each for each in place.asked)
+
+
+def test_scene_of_lamps_needs_no_sun(place: Viewer):
+    opened(place, f"#level={LAMPS}&view=close")
+    (only,) = snapshots(place)
+    assert only["view"] == ["close"] and not {"time", "azimuth", "altitude"} & set(only)
+    expect(place.page.locator("#sun")).to_contain_text("lit by lamps of its own")
+    expect(place.page.get_by_label("Height above the horizon")).to_be_hidden()
+    expect(place.page.locator("#notice")).to_be_hidden()
+    assert colors(place) > 500
+
+
+def test_raster_that_is_not_georeferenced_is_seen_from_above(make_places: Callable[..., Viewer]):
+    """Also where it is all that a phone has room for."""
+    viewer = opened(make_places(**PHONE), "#level=site&time=2024-06-21T12:00:00Z")
+    (only,) = snapshots(viewer)
+    assert only["view"] == ["map"]
+    expect(viewer.page.locator("#notice")).to_contain_text("there is no sun by time without a place on the earth")
+    box = viewer.page.locator("#stage .shot").bounding_box()
+    dock = viewer.page.locator("#sun").bounding_box()
+    assert box is not None and dock is not None
+    assert box["width"] > 350 and box["height"] > 300 and box["y"] + box["height"] <= dock["y"]
+
+
+def test_scene_that_fails_says_so(place: Viewer):
+    place.forgiven = re.compile("500")
+    place.page.route(re.compile("/snapshot"), lambda route: route.fulfill(status=500, json={"detail": "The worker is gone."}))
+    place.page.goto(f"{place.address}/#level={LAMPS}")
+    status = place.page.locator("#status.failed")
+    expect(status).to_contain_text("The worker is gone. (500)")
+    place.page.unroute(re.compile("/snapshot"))
+    status.get_by_role("button", name="Try again").click()
+    expect(status).to_be_hidden()
+    place.settled()
+    assert colors(place) > 500
+
+
+def test_raster_without_a_sun_opens_this_morning(place: Viewer, places: Client):
+    """By the clock of its place, under a sun as low as the service would choose, with date, play and the day's curve."""
+    place.page.clock.set_fixed_time(EVENING)
+    opened(place, "#level=bare")
+    page = place.page
+    sun = next(level["sun"] for level in places.get("/levels").json() if level["name"] == "bare")
+    expect(page.locator("#date")).to_have_value("2026-06-21")
+    expect(page.locator("#offset option:checked")).to_have_text("UTC+2 · Zurich")
+    minutes = int(page.locator("#minutes").input_value())
+    assert 5 * 60 < minutes < 12 * 60
+    (time,) = {parse_qs(urlsplit(each).query)["time"][0] for each in place.asked if "/tiles/" in each}
+    assert time == f"2026-06-21T{minutes // 60:02}:{minutes % 60:02}:00+02:00"
+    where = places.get("/levels/bare/WebMercatorQuad/tilejson.json", params={"time": time}).json()["skugga"]["sun"]
+    assert where["altitude"] == pytest.approx(sun["altitude"], abs=1.5)
+    expect(page.get_by_role("button", name="Play the day")).to_be_enabled()
+    expect(page.locator(".height-dial .path")).to_be_visible()
+    expect(page.get_by_role("button", name="Sunset")).to_be_visible()
+    page.get_by_text("Shadows", exact=True).click()
+    place.settled()
+    dark = place.pixels()[20 : WINDOW["height"] // 2, LEFT_PX:].max(axis=2) < 64
+    assert dark.mean() > 0.05, "it shows shadows"
+
+    page.get_by_label("Date", exact=True).fill("2026-12-21")
+    expect(page.locator("#offset option:checked")).to_have_text("UTC+1 · Zurich")
+    place.settled()
+    page.locator("#offset").select_option("+00:00")
+    page.get_by_label("Date", exact=True).fill("2026-06-01")
+    expect(page.locator("#offset")).to_have_value("+00:00")  # a clock that was chosen stays
+
+
+def test_sun_that_a_level_names_by_direction_stays(place: Viewer):
+    opened(place, "#level=directed")
+    expect(place.page.get_by_label("Azimuth, clockwise from north")).to_have_value("250")
+    expect(place.page.locator("#play")).to_be_hidden()
+    place.page.get_by_role("button", name="By date and time").click()
+    expect(place.page.locator("#offset option:checked")).to_have_text(re.compile("Zurich"))
+    place.settled()

@@ -1,0 +1,12 @@
+/** A line over the map about what somebody asked for and does not get; it stays until it is closed, or something else is shown. */
+
+import { byId } from './dom';
+
+/** Says it; null takes it away. */
+export function notice(words: string | null): void {
+  const box = byId('notice');
+  const close = box.querySelector('button');
+  if (close) close.onclick = () => notice(null);
+  box.hidden = words === null;
+  box.querySelector('p')?.replaceChildren(words ?? '');
+}
