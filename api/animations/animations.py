@@ -19,7 +19,7 @@ from api.animations.film_order import FilmOrder
 from api.animations.frame_handover import FrameHandover
 from api.errors import LaterError, NotServedError, StorageError
 from api.settings import Settings
-from api.workers.pool import LONGEST_RETRY_S
+from api.workers.admission import retry_after_s
 from terrain.cache import Cache, Missing
 from terrain.errors import BusyError, Fault, InputError, RenderError, SkuggaError
 
@@ -90,7 +90,7 @@ class Animations:
         if waiting >= self._settings.animations_waiting:
             left_s = min(map(self._own_seconds_left, self._going.values()))
             message = f"The service is busy: {len(self._going)} animations are being drawn or waiting."
-            raise LaterError(message, round(min(max(left_s, 1.0), LONGEST_RETRY_S)))
+            raise LaterError(message, retry_after_s(left_s))
 
     def ask(self, order: FilmOrder, frame_s: float) -> Animation:
         """The animation of an order: the one that is known, or a new one, whose frames may take ``frame_s`` seconds each. Raises as

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import dataclass
 from importlib.metadata import version
 
 from fastapi import Request, Response
@@ -28,9 +29,29 @@ ABSENT_S = 86400
 
 EXPOSED_HEADERS = (
     "Content-Range", "ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID", "X-Skugga-Algorithm",
-    "X-Skugga-Caster-Reach", "X-Skugga-Time",
+    "X-Skugga-Caster-Reach", "X-Skugga-Expected-Time", "X-Skugga-Time",
 )  # fmt: skip
 """What pages of other origins may read."""
+
+
+@dataclass(frozen=True)
+class ExpectedTime:
+    """How long a picture was expected to take when it was asked for.
+
+    Attributes
+    ----------
+    wait_s : float
+        Seconds until its turn.
+    work_s : float
+        Seconds of work.
+    """
+
+    wait_s: float
+    work_s: float
+
+    def headers(self) -> dict[str, str]:
+        """The same as a header."""
+        return {"X-Skugga-Expected-Time": f"wait={self.wait_s:.1f}; work={self.work_s:.1f}"}
 
 
 def tag_of(*parts: object) -> str:

@@ -143,6 +143,9 @@ def _complete(headers: MutableHeaders, scope: Scope, number: str, took_ms: float
     asked = scope["state"].get("asked_time")
     if asked is not None and TIME_HEADER not in headers:
         headers[TIME_HEADER] = asked.time.isoformat()
+    expected = scope["state"].get("expected_time")
+    if expected is not None:
+        headers.update(expected.headers())
     if headers.get("Content-Type", "").startswith("text/html"):
         headers.setdefault("Content-Security-Policy", page_policy())
         headers["Referrer-Policy"] = "same-origin"

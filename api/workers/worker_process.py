@@ -30,8 +30,8 @@ class WorkerProcess:
     """A process that was spawned, or is to be. ``start`` it, ``ask`` it one job at a time, then ``end`` it.
 
     In the event loop ``on_death`` is called when it ends by itself, and ``on_preparing`` with what it does before it is ready or
-    begins a job. ``basis`` is what its plans go by. ``prepared`` says whether it had to prepare for the job that it did last. For
-    ``first_blocks`` it prepares while it is idle, once it was told of them.
+    begins a job. ``basis`` is what its plans go by. ``prepared`` says whether it had to prepare for the job that it did last,
+    ``is_preparing`` whether it does now. For ``first_blocks`` it prepares while it is idle, once it was told of them.
     """
 
     def __init__(
@@ -51,6 +51,7 @@ class WorkerProcess:
         self.first_blocks: tuple[BlockJob, ...] = ()
         self.dead = False
         self.prepared = False
+        self.is_preparing = False
 
     @property
     def pid(self) -> int | None:
@@ -118,13 +119,16 @@ class WorkerProcess:
     async def _answer(self, function: Callable[[], Any], timeout_s: float) -> Any:
         """Return what follows all that is prepared first; each step of that may take ``timeout_s``. Raises as ``_heard``."""
         heard = await self._heard(function, timeout_s)
-        while isinstance(heard, Preparing):
-            self.prepared = True
-            if heard.task != self._task:
-                log.info("render process %s: %s", self.pid, heard.task)
-                self._task = heard.task
-            self._on_preparing(heard)
-            heard = await self._heard(self._pipe.recv, timeout_s)
+        try:
+            while isinstance(heard, Preparing):
+                self.prepared = self.is_preparing = True
+                if heard.task != self._task:
+                    log.info("render process %s: %s", self.pid, heard.task)
+                    self._task = heard.task
+                self._on_preparing(heard)
+                heard = await self._heard(self._pipe.recv, timeout_s)
+        finally:
+            self.is_preparing = False
         return heard
 
     async def _heard(self, function: Callable[[], T], timeout_s: float) -> T:

@@ -48,8 +48,8 @@ def serve(
     drawn = [each for each in levels if each not in archives]
     spawned = None
     if drawn or settings.levels is not None:
-        spawned = Spawned(worker_main, first_config(settings))
-        with suppress(OSError):  # it is started again later, as any that does not start
+        with suppress(OSError):  # one is started again later, as whenever that fails
+            spawned = Spawned(worker_main, first_config(settings))
             spawned.start()  # before the imports of this process, which take as long as its own
     from api.http.server import serve as run
 

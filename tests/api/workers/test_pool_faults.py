@@ -12,7 +12,7 @@ import pytest
 
 from api.errors import LaterError, SetAsideError, WorkerCrashError
 from api.workers import pool as pool_module
-from api.workers import worker_process
+from api.workers import spawned, worker_process
 from api.workers.expected_times import ExpectedTimes
 from api.workers.job_queue import JobQueue, PendingJob
 from api.workers.jobs import BlockJob, LevelKey, PictureRequest, PlanAnswer, RequestedSettings, SnapshotJob
@@ -33,7 +33,7 @@ def view(size: tuple[int, int] = (640, 480), **asked) -> SnapshotJob:
 
 def test_a_place_outlives_running_out_of_descriptors(monkeypatch: pytest.MonkeyPatch):
     """The pipe of the next process cannot be made, twice; then descriptors are free again."""
-    real, left = worker_process.get_context, [2]
+    real, left = spawned.get_context, [2]
 
     class NoPipes:
         def __getattr__(self, name):
@@ -50,7 +50,7 @@ def test_a_place_outlives_running_out_of_descriptors(monkeypatch: pytest.MonkeyP
 
     started: list[int] = []
     monkeypatch.setattr(pool_module, "FIRST_PAUSE_S", 0.01)
-    monkeypatch.setattr(worker_process, "get_context", context)
+    monkeypatch.setattr(spawned, "get_context", context)
 
     async def scenario(pool: Pool) -> None:
         await until(lambda: pool.ready)
@@ -130,9 +130,12 @@ def test_who_would_wait_too_long_is_refused_at_once():
         await until(lambda: pool.ready)
         begun = asyncio.create_task(pool.run(block(0)))
         await gate.begun()
+        waiting = asyncio.create_task(pool.run(order("waits"), "other"))
+        await until(lambda: pool.queued == 1)
         with pytest.raises(LaterError, match="expected to be") as caught:
-            await pool.run(block(1))
-        assert 20 <= caught.value.retry_after_s <= 30
+            await pool.run(order("map"), "other")
+        assert 20 <= caught.value.retry_after_s <= 31
+        waiting.cancel()
         gate.open()
         await begun
 
@@ -193,21 +196,6 @@ def test_light_jobs_pass_heavy_ones_but_not_for_ever():
     assert [queue.take(40.0) for _ in range(1)] == [light]
     queue.discard(light)
     assert queue.take(40.0) is heavy
-
-
-def test_while_more_comes_than_can_be_done_only_short_waits_are_let_in():
-    queue = JobQueue(1, ExpectedTimes())
-    queue.expected.learn(block(0), 0.2)
-    for number in range(10):
-        queue.put(pending(block(number), 0.0))
-    burst_s, standing_s = (queue.longest_wait_s(block(99), now_s, 20.0) for now_s in (1.5, 6.0))
-    assert (burst_s, standing_s) == (20.0, 0.5)
-    assert queue.wait_s(block(99), 6.0) == pytest.approx(2.0)
-    queue.expected.learn(view(), 5.0 * 640 * 480 / (1280 * 1024))
-    assert queue.longest_wait_s(view((1280, 1024)), 6.0, 20.0) == pytest.approx(10.0), "what takes long may wait long"
-    for each in list(queue.waiting.values()):
-        queue.discard(each)
-    assert queue.longest_wait_s(block(99), 60.0, 20.0) == 20.0, "once the queue was empty, bursts are let in again"
 
 
 def test_one_process_is_left_to_light_jobs():
