@@ -63,7 +63,7 @@ class Settings(BaseSettings):
         gt=0,
         description="Seconds of expected work beyond which no more of a client's pictures may wait, a screenful of tiles excepted.",
     )
-    queue_timeout_s: float = Field(default=20.0, gt=0, description="Seconds that a picture may wait for its turn to be drawn.")
+    queue_timeout_s: float = Field(default=60.0, gt=0, description="Seconds that a picture may wait for its turn to be drawn.")
     render_timeout_s: float = Field(default=60.0, gt=0, description="Seconds after which a picture is given up.")
     start_timeout_s: float = Field(default=300.0, gt=0, description="Seconds within which a render process has to start.")
     calibrate_when_idle: bool = Field(
