@@ -11,7 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from api.errors import LaterError, SetAsideError, WorkerCrashError
+from api.errors import ExhaustedError, LaterError, SetAsideError, WorkerCrashError
+from api.exhaustion import exhausted_error, in_thread
 from api.settings import Settings, cores
 from api.workers.admission import check_admission, retry_after_s
 from api.workers.background_compile import BackgroundCompile
@@ -258,7 +259,7 @@ class Pool:
         if self._closed:
             raise BusyError("The service is shutting down.")
         if self._start_error is not None and not self.pids:
-            raise GraphicsError(str(self._start_error))
+            raise _start_failure(self._start_error)
         self.idle.disturb()
         loop = asyncio.get_running_loop()
         left_s = self._set_aside.seconds_left(job)
@@ -309,7 +310,7 @@ class Pool:
                 healthy = await self._one_process(number)
             except Exception as error:  # out of descriptors, threads or memory, or a bug: the slot outlives all of them
                 log.error("a render process's place failed, and starts another: %s: %s", type(error).__name__, error)
-                self._could_not_start(GraphicsError(f"a render process cannot be started: {error}"))
+                self._could_not_start(exhausted_error(error) or GraphicsError(f"a render process cannot be started: {error}"))
                 healthy = False
             failures = 0 if healthy else failures + 1
 
@@ -324,7 +325,7 @@ class Pool:
         worker = WorkerProcess(spawned, self._threads, self._news.set, self._note_preparing)
         self._workers.add(worker)
         try:
-            worker.first_blocks = await asyncio.get_running_loop().run_in_executor(self._threads, self._first_blocks)
+            worker.first_blocks = await in_thread(self._threads, self._first_blocks)
             return await self._start_and_serve(worker)
         finally:
             self._workers.discard(worker)
@@ -360,7 +361,7 @@ class Pool:
         self._start_error = error
         self._settled.set()
         if not self.pids:
-            self._fail_all(GraphicsError(str(error)), list(self._queue.waiting.values()))
+            self._fail_all(_start_failure(error), list(self._queue.waiting.values()))
 
     async def _serve(self, worker: WorkerProcess) -> bool:
         """Whether the process took any job: what ends it after that is the job's doing, and no failed start."""
@@ -371,6 +372,9 @@ class Pool:
             flight.plan_version = self._version_of(flight.job)
             try:
                 answer = await worker.ask(flight.job, self._settings.render_timeout_s, self.basis)
+            except ExhaustedError as error:  # the process was not asked
+                self._land(flight, error)
+                continue
             except WorkerCrashError as error:
                 log.error("render process %s is replaced: %s", worker.pid, error)
                 self._try_again(flight, error)
@@ -411,6 +415,8 @@ class Pool:
                     worker.first_blocks = ()
                     if isinstance(pong, Pong):
                         self.compiling.begin(pong.missing_loops)
+                except ExhaustedError:  # it is asked again later
+                    continue
                 except (RenderTimeoutError, WorkerCrashError):
                     log.error("render process %s is replaced: it does not answer any more", worker.pid)
                     return None
@@ -473,6 +479,11 @@ class Pool:
     def _fail_all(self, error: SkuggaError, flights: list[PendingJob]) -> None:
         for flight in flights:
             self._land(flight, error)
+
+
+def _start_failure(error: SkuggaError) -> SkuggaError:
+    """What a request is told whose process cannot be started."""
+    return error if isinstance(error, ExhaustedError) else GraphicsError(str(error))
 
 
 def _named(job: Job) -> str:

@@ -8,10 +8,11 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any, TypeVar
 
-from api.errors import WorkerCrashError
+from api.errors import ExhaustedError, WorkerCrashError
+from api.exhaustion import exhausted_error, in_thread
 from api.workers.jobs import Answer, BlockJob, Failure, Job, Ping, Preparing, Ready
 from api.workers.plan_basis import PlanBasis
-from api.workers.process_life import JOIN_S, is_stopped
+from api.workers.process_life import JOIN_S, is_stopped, process_end
 from api.workers.spawned import Spawned
 from terrain.errors import GraphicsError, RenderTimeoutError
 
@@ -67,7 +68,7 @@ class WorkerProcess:
             try:
                 await asyncio.shield(self._in_new_thread(self._spawned.start))
             except OSError as error:
-                raise GraphicsError(f"a render process cannot be started: {error.strerror}") from None
+                raise exhausted_error(error) or GraphicsError(f"a render process cannot be started: {error.strerror}") from None
         self._watched = self._process.sentinel
         asyncio.get_running_loop().add_reader(self._watched, self._note_death)
         try:
@@ -83,7 +84,7 @@ class WorkerProcess:
 
     async def ask(self, job: Job | Ping, timeout_s: float, basis: PlanBasis | None = None) -> Answer:
         """The answer to a job, by plans of a ``basis`` (``None``: as before). After a ``WorkerCrashError`` or
-        ``RenderTimeoutError`` the process is of no more use.
+        ``RenderTimeoutError`` the process is of no more use. Raises ``ExhaustedError`` where there is no thread to ask it in.
         """
         told, self.basis = self.basis, basis or self.basis
         self.prepared = False
@@ -96,6 +97,8 @@ class WorkerProcess:
 
         try:
             return await self._answer(send_and_receive, timeout_s)
+        except ExhaustedError:  # nothing was sent
+            raise
         except TimeoutError:
             raise RenderTimeoutError(f"The picture took longer than the {timeout_s:g} s it may take.") from None
         except Exception as error:  # the pipe broke, or brought what cannot be read
@@ -108,7 +111,7 @@ class WorkerProcess:
         self._unwatch()
         if self.pid is not None:
             self._process.kill()
-            await asyncio.get_running_loop().run_in_executor(None, self._process.join, JOIN_S)
+            await process_end(self._process)
         if self._in_thread is not None:
             done, _ = await asyncio.wait({self._in_thread}, timeout=JOIN_S)
             if not done:  # a closed pipe's number could be another file's before it is read
@@ -146,7 +149,7 @@ class WorkerProcess:
 
     def _in_new_thread(self, function: Callable[[], T]) -> asyncio.Future[T]:
         """Run in a thread, which goes on where the waiting is given up: it ends with the process."""
-        running = asyncio.get_running_loop().run_in_executor(self._threads, function)
+        running = in_thread(self._threads, function)
         running.add_done_callback(lambda done: done.cancelled() or done.exception())
         self._in_thread = running
         return running
