@@ -107,11 +107,16 @@ class ClientGoneError(Exception):
 
 
 def service_of(request: Request) -> Service:
-    """The dependency."""
+    """The service of a request's application."""
     return request.app.state.service
 
 
-TheService = Annotated[Service, Depends(service_of)]
+async def the_service(request: Request) -> Service:
+    """The dependency. A plain function would be called in a thread, of which there may be none left."""
+    return service_of(request)
+
+
+TheService = Annotated[Service, Depends(the_service)]
 
 
 async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:

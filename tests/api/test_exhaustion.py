@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import inspect
 import os
 import threading
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from fastapi.dependencies.models import Dependant
+from fastapi.routing import APIRoute
 
 from api.animations.animations import Animations
 from api.errors import ExhaustedError, outcome_of
@@ -21,6 +25,7 @@ from api.workers.pool import Pool
 from terrain.errors import SourceError
 from tests.api.animations.test_animations import order as film_order
 from tests.api.http.test_level_checks import no_threads
+from tests.api.http.test_openapi import ROUTERS
 from tests.api.workers.test_pool import block, until, with_pool
 
 
@@ -55,6 +60,20 @@ def test_errors_of_a_machine_that_has_nothing_left(error: Exception):
 )
 def test_other_errors_are_none_of_the_machine(error: Exception):
     assert exhausted_error(error) is None
+
+
+def test_no_route_needs_a_thread_before_it_begins():
+    """The framework calls plain functions in threads: then a machine without any would not even be told that the service lives."""
+
+    def parts(dependant: Dependant) -> Iterator[object]:
+        yield dependant.call
+        for each in dependant.dependencies:
+            yield from parts(each)
+
+    routes = [route for router in ROUTERS for route in router.routes if isinstance(route, APIRoute)]
+    assert {"/healthz", "/readyz"} <= {route.path for route in routes}
+    found = {part for route in routes for part in parts(route.dependant)}
+    assert not [part for part in found if not inspect.iscoroutinefunction(part)]
 
 
 def test_what_no_thread_could_be_started_for_is_never_run(monkeypatch: pytest.MonkeyPatch):
