@@ -148,6 +148,11 @@ def _complete(headers: MutableHeaders, scope: Scope, number: str, took_ms: float
     asked = scope["state"].get("asked_time")
     if asked is not None and TIME_HEADER not in headers:
         headers[TIME_HEADER] = asked.time.isoformat()
+    location, public_url = headers.get("Location"), scope["app"].state.service.settings.public_url if "app" in scope else None
+    if location is not None and public_url is not None:
+        inner = str(Request(scope).base_url)
+        if location.startswith(inner):  # of the framework's own redirects
+            headers["Location"] = f"{public_url.rstrip('/')}/{location.removeprefix(inner)}"
     expected = scope["state"].get("expected_time")
     if expected is not None:
         headers.update(expected.headers())
