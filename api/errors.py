@@ -74,6 +74,10 @@ class LaterError(BusyError):
         super().__init__(message)
 
 
+class ExhaustedError(BusyError):
+    """The machine has no thread, file descriptor or memory left."""
+
+
 class SetAsideError(LaterError):
     """Pictures of this kind keep failing, and are not tried again for a while."""
 
@@ -132,6 +136,9 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     NotServedError: Outcome(404, WRONG_INPUT, "not_found"),
     BusyError: Outcome(503, FAILED, "busy", retry_after_s=2),
     LaterError: Outcome(503, FAILED, "busy", retry_after_s=2),
+    ExhaustedError: Outcome(
+        503, FAILED, "exhausted", "The machine of the service has nothing left to work with; its log says what.", retry_after_s=5
+    ),
     SetAsideError: Outcome(503, FAILED, "set_aside", retry_after_s=30),
     NotReadyError: Outcome(503, FAILED, "not_ready", retry_after_s=2),
     TooManySunsError: Outcome(429, WRONG_INPUT, "too_many_suns", retry_after_s=2),

@@ -15,6 +15,19 @@ from terrain.level.pin_scope import suns_left
 from terrain.scene import Scene, build_scene
 
 
+def _cost_of_soft_lamps(scene: Scene) -> list[str]:
+    """What a block of a map is expected to take under lamps that are shown as balls, and which key makes it cheap."""
+    from api.device_calibration import calibration_for
+    from api.picture_cost import remedy
+    from selector.select import plan_of_view
+
+    plan = plan_of_view(scene, scene.view("map"), "map", policy="predict", device=calibration_for(scene.loaded.level.shadows, {}))
+    cheaper = remedy(plan)
+    if plan.predicted is None or cheaper is None:
+        return []
+    return [f"a map of it is expected to take {plan.predicted.ms / 1000.0:.1f} s a block; {cheaper}"]
+
+
 def summary(source: Path | LevelSource) -> dict[str, Any]:
     """Name, title, bounds in degrees (``None`` in a flat world) and views of a level. Raises ``SkuggaError``."""
     loaded = load_level(source)
@@ -56,6 +69,8 @@ def remarks(source: Path | LevelSource) -> list[str]:
         notes.append(f"{len(solids.closed)} meshes of {len(solids.triangles)} triangles, {sum(solids.closed)} of them closed")
     if scene.lamps:
         notes.append(f"lights: {', '.join(scene.lamps)}" + (" and the sun" if scene.sun is not None else ", no sun"))
+    if any(lamp.radius_m > 0.0 for lamp in scene.lamps.values()):
+        notes += _cost_of_soft_lamps(scene)
     if movers := scene.loaded.level.movers:
         notes.append(f"moves by the clock: {', '.join(movers)}")
     notes += objects.notes

@@ -55,8 +55,15 @@ class Settings(BaseSettings):
         default=20.0, gt=0, description="Seconds that a client may take to send a request's headers or body, or to read on."
     )
     workers: int = Field(default_factory=default_workers, ge=1, le=256, description="Render processes.")
-    queue_length: int = Field(default=32, ge=1, description="Pictures that may wait to be drawn; more are refused.")
-    queue_timeout_s: float = Field(default=20.0, gt=0, description="Seconds that a picture may wait for its turn to be drawn.")
+    queue_length: int = Field(
+        default=64, ge=1, description="Tiles of each client, a screenful, that may wait to be drawn whatever they take."
+    )
+    queue_work_s: float = Field(
+        default=20.0,
+        gt=0,
+        description="Seconds of expected work beyond which no more of a client's pictures may wait, a screenful of tiles excepted.",
+    )
+    queue_timeout_s: float = Field(default=60.0, gt=0, description="Seconds that a picture may wait for its turn to be drawn.")
     render_timeout_s: float = Field(default=60.0, gt=0, description="Seconds after which a picture is given up.")
     start_timeout_s: float = Field(default=300.0, gt=0, description="Seconds within which a render process has to start.")
     calibrate_when_idle: bool = Field(

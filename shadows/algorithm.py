@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from shadows.bent_rays import rays_bend
 from shadows.passes import PassLayer
+from shadows.penumbra import MAX_POINTS, MIN_POINTS, light_points
 from shadows.work import Work, Workload
 from terrain.cache import caches
 from terrain.facts.descriptor import Descriptor, LightKind
@@ -53,13 +54,13 @@ FEW_MAP_SIZES = (1024, 2048, 4096)
 
 
 def is_area(descriptor: Descriptor, light: str, shadows: Shadows) -> bool:
-    """Whether a light is to be shown as the area that it is: the sun's disc if that is asked for, a lamp's ball if it has a radius
-    and no taps are asked for.
+    """Whether a light is to be shown as the area that it is: the sun's disc if that is asked for; a lamp's ball if it has a radius
+    and that is asked for, or no taps are asked for and its penumbrae are wider than a pixel.
     """
     if light == SUN:
         return shadows.filter == "sun"
     radius_m = next((lamp.radius_m for lamp in descriptor.lamps if lamp.name == light), 0.0)
-    return radius_m > 0.0 and shadows.filter in ("auto", "sun")
+    return radius_m > 0.0 and (shadows.filter == "sun" or (shadows.filter == "auto" and light_points(descriptor, light) > 1))
 
 
 def requirements_of(descriptor: Descriptor, light: LightKind, caster: CasterKind, area: bool = False) -> tuple[Requirement, ...]:
@@ -105,6 +106,12 @@ class AlgorithmSettings(BaseModel):
         return [str(getattr(self, name)) for name in named if getattr(self, name) != defaults[name]]
 
 
+class AreaSettings(AlgorithmSettings):
+    """Settings of an algorithm that shows a light as the area that it is by points of it: ``light_points`` of them."""
+
+    light_points: int = Field(default=MAX_POINTS, ge=1)
+
+
 @dataclass(frozen=True)
 class SettingsRequest:
     """What an algorithm resolves its settings from: the facts of a view, a light, what level and request ask of the shadows, and
@@ -130,6 +137,11 @@ class SettingsRequest:
     def is_area(self) -> bool:
         """Whether the light is to be shown as the area that it is."""
         return is_area(self.descriptor, self.light, self.sharpened)
+
+    @property
+    def light_points(self) -> int:
+        """Points that an area light is shown by."""
+        return max(light_points(self.descriptor, self.light), MIN_POINTS) if self.is_area else MAX_POINTS
 
     def without_filter(self, name: str, *filters: int | str) -> list[Reasoned]:
         """Of an algorithm without filters other than these: what is said where one is asked for."""

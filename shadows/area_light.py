@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from shadows.algorithm import AlgorithmSettings, Fill
+from shadows.algorithm import AreaSettings, Fill
 from shadows.attached import attached
 from shadows.passes import PassLog
 from shadows.work import Work
@@ -19,9 +19,6 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.level.level import SUN, CasterKind
 from terrain.scene import Scene
-
-LIGHT_SAMPLES = 32
-"""Points of a light that algorithms of hard edges are averaged over: a penumbra has as many steps."""
 
 GOLDEN_ANGLE = float(np.pi * (3.0 - 5.0**0.5))
 """Radians between one point of a spiral and the next."""
@@ -70,9 +67,9 @@ def scenes_of_points(scene: Scene, light: str, samples: int) -> Iterator[Scene]:
         yield scene.with_lamp(replace(lamp, position_earth_m=lamp.position_earth_m + place_m))
 
 
-def times_points(work: Work) -> Work:
+def times_points(work: Work, points: int) -> Work:
     """The work for all points of a light, from that for one."""
-    return {part: {name: LIGHT_SAMPLES * count for name, count in counts.items()} for part, counts in work.items()}
+    return {part: {name: points * count for name, count in counts.items()} for part, counts in work.items()}
 
 
 def mean_over_light(
@@ -82,22 +79,22 @@ def mean_over_light(
     light: str,
     kinds: tuple[CasterKind, ...],
     casters: Casters,
-    settings: AlgorithmSettings,
+    settings: AreaSettings,
     log: PassLog,
     **changes: Any,
 ) -> np.ndarray:
-    """The mean visibility (rows, cols) float32 of a light's points, each filled under settings with some ``changes``.
+    """The mean visibility (rows, cols) float32 of a light's points, as many as settings say, each filled with some ``changes``.
 
     Where a surface is turned away from a point of the light, that does not reach it. Layers are those of the first point.
     """
     passes = log.named(light, kinds, ("",))[0]
     visibility, of_point = np.zeros(buffer.there.shape, np.float32), settings.model_copy(update=changes)
-    for moved in scenes_of_points(scene, light, LIGHT_SAMPLES):
+    for moved in scenes_of_points(scene, light, settings.light_points):
         seen = fill(buffer, moved, light, kinds, casters, of_point, log)
         seen[attached(buffer, moved, light)] = 0.0
         visibility += seen
         log = replace(log, wanted=frozenset())
     for record in log.records.values():
         if record.name.startswith(passes):
-            record.light_points = LIGHT_SAMPLES
-    return visibility / np.float32(LIGHT_SAMPLES)
+            record.light_points = settings.light_points
+    return visibility / np.float32(settings.light_points)

@@ -18,8 +18,9 @@ from api.animations.film_file import FilmFile
 from api.animations.film_order import FilmOrder
 from api.animations.frame_handover import FrameHandover
 from api.errors import LaterError, NotServedError, StorageError
+from api.exhaustion import exhausted_error, in_thread
 from api.settings import Settings
-from api.workers.pool import LONGEST_RETRY_S
+from api.workers.admission import retry_after_s
 from terrain.cache import Cache, Missing
 from terrain.errors import BusyError, Fault, InputError, RenderError, SkuggaError
 
@@ -90,7 +91,7 @@ class Animations:
         if waiting >= self._settings.animations_waiting:
             left_s = min(map(self._own_seconds_left, self._going.values()))
             message = f"The service is busy: {len(self._going)} animations are being drawn or waiting."
-            raise LaterError(message, round(min(max(left_s, 1.0), LONGEST_RETRY_S)))
+            raise LaterError(message, retry_after_s(left_s))
 
     def ask(self, order: FilmOrder, frame_s: float) -> Animation:
         """The animation of an order: the one that is known, or a new one, whose frames may take ``frame_s`` seconds each. Raises as
@@ -173,12 +174,8 @@ class Animations:
                 film = await self._film(animation)
         except SkuggaError as error:
             self._fail(animation, error)
-        except OSError as error:
-            log.error("animation %s: %s", animation.id, error)
-            self._fail(animation, StorageError(f"a film cannot be written: {error.strerror or error}"))
-        except Exception as error:  # a bug, or an encoder's own exception: others go on
-            log.exception("animation %s failed unexpectedly", animation.id)
-            self._fail(animation, RenderError(f"{type(error).__name__}: {error}"))
+        except Exception as error:  # others go on
+            self._fail(animation, _known_error(animation, error))
         else:
             animation.film = film
             self._end(animation, "successful")
@@ -187,15 +184,16 @@ class Animations:
         """The film, whole. However this ends, no more frames are drawn, and the thread is done with the file."""
         loop, order = asyncio.get_running_loop(), animation.order
         frames = FrameHandover(self._draw(order), loop, animation.advance)
-        writing = loop.run_in_executor(self._threads, self._written, frames, order)
         try:
-            return await asyncio.shield(writing)
-        except BaseException:
-            await frames.stop()
-            await asyncio.wait({writing})
-            if writing.exception() is None:
-                writing.result().close()
-            raise
+            writing = in_thread(self._threads, self._written, frames, order)
+            try:
+                return await asyncio.shield(writing)
+            except BaseException:
+                await frames.stop()
+                await asyncio.wait({writing})
+                if writing.exception() is None:
+                    writing.result().close()
+                raise
         finally:
             await frames.stop()
 
@@ -238,3 +236,14 @@ class Animations:
     def _forget_order(self, animation: Animation) -> None:
         if self._by_order.get(animation.order) is animation:
             del self._by_order[animation.order]
+
+
+def _known_error(animation: Animation, error: Exception) -> SkuggaError:
+    """What an error of writing a film means: no thread or memory, no room on the disk, or a bug or an encoder's own exception."""
+    if (exhausted := exhausted_error(error)) is not None:
+        return exhausted
+    if isinstance(error, OSError):
+        log.error("animation %s: %s", animation.id, error)
+        return StorageError(f"a film cannot be written: {error.strerror or error}")
+    log.exception("animation %s failed unexpectedly", animation.id)
+    return RenderError(f"{type(error).__name__}: {error}")

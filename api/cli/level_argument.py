@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,7 +27,8 @@ _LEVELS = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[LEVEL]...",
-        help="Level files, rasters, names, or archives of tiles (.pmtiles); without --levels: all bundled levels by default.",
+        help="Level files, rasters, names, or archives of tiles (.pmtiles); NAME=FILE names a level. Without "
+        "--levels: all bundled levels by default.",
         autocompletion=complete_level,
     ),
 ]
@@ -45,6 +47,9 @@ PositiveOption = Annotated[
         metavar="WAY", help="Where a raster's heights grow to: up, or down (depths).", autocompletion=complete_words(["up", "down"])
     ),
 ]
+
+NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}"
+"""Of a level that is named on the command line: nothing that means anything in an address."""
 
 _OPTIONS: dict[str, Any] = {
     "canopy": Annotated[
@@ -85,7 +90,19 @@ def _find_all(names: list[str] | None, asked: dict[str, Any]) -> list[LevelSourc
     for name, value in asked.items():
         if value is not None and len(names or ()) != 1:
             raise InputError(f"--{name}", str(value), "one LEVEL beside it, the raster that it is about")
-    return [_find(name, asked) for name in names or ()]
+    return [_find_named(name, asked) for name in names or ()]
+
+
+def _find_named(text: str, asked: dict[str, Any]) -> LevelSource:
+    """A level by its path, or by ``NAME=FILE``. A file that is there is a file, whatever it is called."""
+    name, equals, file = text.partition("=")
+    if not equals or Path(text).exists():
+        return _find(text, asked)
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise InputError(
+            "LEVEL", text, "NAME=FILE with a NAME of letters, digits, '.', '_' and '-', which begins with none of these"
+        )
+    return _find(file, asked).model_copy(update={"name": name})
 
 
 def _find(name: str, asked: dict[str, Any]) -> LevelSource:

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 
 from api.cli.warnings import say_own_sun, say_warnings
 from api.device_calibration import calibration_for
+from api.picture_cost import check_cost
+from api.settings import load_settings
 from selector.select import plan_of_view
 from shadows.passes import PassLayer
 from shadows.render import Frame, render_frame
@@ -48,14 +50,20 @@ def snapshot(
     seconds: float | None = None,
     layers: frozenset[PassLayer] = frozenset(),
     look: Appearance = AS_THE_LEVEL_SAYS,
+    max_ms: float | None = None,
 ) -> tuple[Scene, Frame]:
-    """The scene and the frame of a level's view, with intermediate ``layers``. Raises ``SkuggaError``."""
+    """The scene and the frame of a level's view, with intermediate ``layers``.
+
+    Raises ``SkuggaError``, also where a block or a view is expected to take longer than ``max_ms``, or than a service would draw.
+    """
     scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
     if sun is None:
         say_own_sun(scene)
     scene = scene.with_style(*look)
     device = calibration_for(scene.loaded.level.shadows, overrides)
     plan = plan_of_view(scene, view_value, view, overrides, device=device)
+    most_ms = 1000.0 * load_settings().render_timeout_s if max_ms is None else max_ms
+    check_cost(plan, "a block of the map" if isinstance(view_value, MapView) else "the view", most_ms, "--max-ms")
     return scene, render_frame(scene, view_value, plan, on_block, layers)
 
 

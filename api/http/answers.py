@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import re
+from dataclasses import dataclass
 from importlib.metadata import version
 
 from fastapi import Request, Response
@@ -23,14 +25,37 @@ asking again costs no rendering."""
 FACTS_S = 60
 """How long what is said of levels is fresh."""
 
+LEAST_PACKED_BYTES, GZIP_LEVEL = 16 * 1024, 4
+"""Documents of so many bytes are compressed: capabilities of many levels are half a megabyte, a twentieth of that compressed."""
+
 ABSENT_S = 86400
 """How long caches may send what they have where the service is away."""
 
 EXPOSED_HEADERS = (
     "Content-Range", "ETag", "Location", "Retry-After", "Server-Timing", "X-Request-ID", "X-Skugga-Algorithm",
-    "X-Skugga-Caster-Reach", "X-Skugga-Time",
+    "X-Skugga-Caster-Reach", "X-Skugga-Expected-Time", "X-Skugga-Time",
 )  # fmt: skip
 """What pages of other origins may read."""
+
+
+@dataclass(frozen=True)
+class ExpectedTime:
+    """How long a picture was expected to take when it was asked for.
+
+    Attributes
+    ----------
+    wait_s : float
+        Seconds until its turn.
+    work_s : float
+        Seconds of work.
+    """
+
+    wait_s: float
+    work_s: float
+
+    def headers(self) -> dict[str, str]:
+        """The same as a header."""
+        return {"X-Skugga-Expected-Time": f"wait={self.wait_s:.1f}; work={self.work_s:.1f}"}
 
 
 def tag_of(*parts: object) -> str:
@@ -53,17 +78,39 @@ def cache_headers(tag: str, fresh_s: int) -> dict[str, str]:
     return {"ETag": tag, "Cache-Control": f"public, max-age={fresh_s}{later}"}
 
 
+def wants_page(request: Request) -> bool:
+    """Whether whoever asks is a browser: it takes HTML by name, and JSON not so."""
+    accepted = request.headers.get("accept", "")
+    return "text/html" in accepted and "application/json" not in accepted
+
+
 def json_answer(request: Request, value: object, **more: str) -> Response:
     """A JSON answer, with ``more`` headers, or 304 where the client has it."""
     return document_answer(request, bytes(JSONResponse(value).body), "application/json", **more)
 
 
 def document_answer(request: Request, body: bytes, media_type: str, **more: str) -> Response:
-    """A document that is said of levels, with ``more`` headers, or 304 where the client has it."""
-    headers = cache_headers(tag_of(body), FACTS_S) | more
+    """A document that is said of levels, with ``more`` headers, or 304 where the client has it. A long one is compressed for
+    clients that take that, with an entity tag of its own.
+    """
+    packed = len(body) >= LEAST_PACKED_BYTES and _takes_gzip(request)
+    vary = ", ".join(filter(None, (more.pop("Vary", ""), "Accept-Encoding"))) if len(body) >= LEAST_PACKED_BYTES else None
+    more |= {} if vary is None else {"Vary": vary}
+    headers = cache_headers(tag_of(body, "gzip") if packed else tag_of(body), FACTS_S) | more
     if is_fresh(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
+    if packed:
+        body, headers["Content-Encoding"] = gzip.compress(body, GZIP_LEVEL, mtime=0), "gzip"
     return Response(body, headers=headers, media_type=media_type)
+
+
+def _takes_gzip(request: Request) -> bool:
+    """Whether a client takes ``gzip`` by name, and not with a weight of nothing (RFC 9110, section 12.5.3)."""
+    for coding in request.headers.get("accept-encoding", "").lower().split(","):
+        name, _, weight = coding.partition(";")
+        if name.strip() in ("gzip", "x-gzip"):
+            return re.fullmatch(r"\s*q\s*=\s*0(\.0*)?\s*", weight) is None
+    return False
 
 
 def base_url(request: Request, public_url: str | None) -> str:

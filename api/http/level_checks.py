@@ -12,6 +12,8 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+from api.errors import ExhaustedError
+from api.exhaustion import exhausted_error
 from terrain.errors import SkuggaError
 
 LookedAt = TypeVar("LookedAt")
@@ -46,6 +48,7 @@ class LevelCheck(Generic[LookedAt]):
     wait_s: float
     what: str = "level"
     error: SkuggaError | None = None
+    _is_exhausted: bool = False
     _looked_s: float = float("-inf")
     _looking: _Look[LookedAt] | None = None
     _lost: list[_Look[LookedAt]] = field(default_factory=list)
@@ -66,52 +69,74 @@ class LevelCheck(Generic[LookedAt]):
         """The value as it is now, or as it was last if that takes too long. Raises what the look raises."""
         if not self._is_fresh():
             looking = self._look_now()
-            left_s = looking.began_s + self.wait_s - time.monotonic()
-            if left_s > 0.0:
-                await asyncio.wait({asyncio.wrap_future(looking.future)}, timeout=left_s)
-            if not looking.future.done() and not looking.told:
-                looking.told = True
-                log.error(
-                    "%s %s: its files have not been read within %g s; it is served as it was", self.what, self.name, self.wait_s
-                )
+            if looking is not None:
+                await self._wait(looking)
         if self.error is not None:
             raise self.error
         return self.value
 
-    def _look_now(self) -> _Look[LookedAt]:
-        """The look that is under way, or one that is begun now."""
+    async def _wait(self, looking: _Look[LookedAt]) -> None:
+        left_s = looking.began_s + self.wait_s - time.monotonic()
+        if left_s > 0.0:
+            await asyncio.wait({asyncio.wrap_future(looking.future)}, timeout=left_s)
+        if not looking.future.done() and not looking.told:
+            looking.told = True
+            log.error("%s %s: its files have not been read within %g s; it is served as it was", self.what, self.name, self.wait_s)
+
+    def _look_now(self) -> _Look[LookedAt] | None:
+        """The look that is under way, or one that is begun now; ``None`` where no thread can be started for one."""
         now_s = time.monotonic()
         looking = self._looking
         if looking is not None and not looking.future.done():
             self._lost = [lost for lost in self._lost if not lost.future.done()]
             if now_s - looking.began_s < LOOK_AGAIN_S or len(self._lost) >= MOST_LOST:
                 return looking
-            self._lost.append(looking)
         begun: _Look[LookedAt] = _Look(now_s, Future())
         self._looking = begun
 
         def run() -> None:
-            outcome = self._outcome(self.look)
-            if self._looking is begun:  # another look has begun since, which knows better
-                try:
+            try:
+                outcome = self._outcome(self.look)
+                if self._looking is begun:  # another look has begun since, which knows better
                     self._note(outcome)
-                except SkuggaError:
-                    pass
-            begun.future.set_result(self.value)
+            except SkuggaError:
+                pass
+            finally:
+                begun.future.set_result(self.value)
 
-        threading.Thread(target=run, name=f"look at {self.name}", daemon=True).start()
+        try:
+            threading.Thread(target=run, name=f"look at {self.name}", daemon=True).start()
+        except (RuntimeError, MemoryError) as error:
+            self._looking = looking
+            self._tell_exhausted(error)
+            return None
+        if looking is not None and not looking.future.done():
+            self._lost.append(looking)
         return begun
 
     def _outcome(self, look: Callable[[], LookedAt]) -> LookedAt | SkuggaError:
         try:
-            return look()
-        except SkuggaError as error:
-            return error
-        except Exception as error:  # a bug, or what a library raises: the level is wrong, the service goes on
+            found = look()
+        except Exception as error:
+            if (exhausted := exhausted_error(error)) is not None:  # that says nothing of the files
+                self._tell_exhausted(exhausted)
+                return exhausted if self.error is None else self.error
+            if isinstance(error, SkuggaError):
+                return error
+            # A bug, or what a library raises: the level is wrong, the service goes on.
             log.exception("%s %s cannot be read", self.what, self.name)
             return SkuggaError(f"{self.what} {self.name} cannot be read: {error!r}")
+        self._is_exhausted = False
+        return found
+
+    def _tell_exhausted(self, error: Exception) -> None:
+        if not self._is_exhausted:
+            self._is_exhausted = True
+            log.error("%s %s: its files cannot be looked at: %s; it is served as it was", self.what, self.name, error)
 
     def _note(self, outcome: LookedAt | SkuggaError) -> LookedAt:
+        if isinstance(outcome, ExhaustedError):
+            return self.value
         self._looked_s = time.monotonic()
         if isinstance(outcome, SkuggaError):
             self.error = outcome

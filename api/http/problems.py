@@ -10,12 +10,13 @@ from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, ConfigDict
 from starlette.exceptions import HTTPException
 from starlette.routing import Match, Mount
 
 from api.errors import OUTCOMES, Outcome, outcome_of
+from api.http.answers import wants_page
 from terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError, printable
 from terrain.level.level_errors import UNKNOWN_KEY
 
@@ -129,7 +130,7 @@ def install_problem_handlers(app: FastAPI) -> None:
         assert isinstance(error, RequestValidationError)
         return domain_problem(request, _first_wrong(error))
 
-    async def http(request: Request, error: Exception) -> JSONResponse:
+    async def http(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
         headers = dict(error.headers or {})
         if error.status_code == 405:
@@ -140,6 +141,10 @@ def install_problem_handlers(app: FastAPI) -> None:
             405: f"There is no {request.method[:20]} here; allowed: {headers.get('Allow')}.",
         }
         detail = said.get(error.status_code, str(error.detail))
+        if error.status_code == 404 and wants_page(request):
+            from api.http.not_found import not_found_page  # it knows the service, which knows problems
+
+            return not_found_page(request, detail)
         parameter = "body" if error.status_code in (400, 413) else None
         return problem_response(problem_of(error.status_code, detail, parameter=parameter), headers)
 

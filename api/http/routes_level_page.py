@@ -81,9 +81,3 @@ async def page_answer(request: Request, service: Service, level: ServedLevel, **
     """The page of a level."""
     page = level_page(level, base_url(request, service.settings.public_url))
     return document_answer(request, page.encode(), "text/html", **headers)
-
-
-def wants_page(request: Request) -> bool:
-    """Whether whoever asks is a browser: it takes HTML by name, and JSON not so."""
-    accepted = request.headers.get("accept", "")
-    return "text/html" in accepted and "application/json" not in accepted

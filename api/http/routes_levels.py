@@ -10,10 +10,10 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.color_scale import LEGEND_MEDIA_TYPES, LegendFormat
-from api.http.answers import GIVEN_SUN_S, base_url, cache_headers, is_fresh, json_answer, tag_of
+from api.http.answers import GIVEN_SUN_S, base_url, cache_headers, is_fresh, json_answer, tag_of, wants_page
 from api.http.documented import LEVEL_ERRORS, LevelPath, MatrixSetPath, file_docs, for_example, problem_docs
 from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
-from api.http.routes_level_page import page_answer, wants_page
+from api.http.routes_level_page import page_answer
 from api.http.served_levels import ServedLevel
 from api.http.service import TheService
 from api.layers import LAYERS, MapFormat, nodata_height_m

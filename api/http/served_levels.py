@@ -173,7 +173,8 @@ class ServedLevels:
         for source in map(LevelSource.of, sources):
             check = self._checked(source, [file.parent for file in _named_files(source)])
             if check.name in self._checks:
-                raise InputError("LEVEL", str(source.path), f"files of different names: a level '{check.name}' is served already")
+                allowed = f"files of different names, or NAME=FILE: a level '{check.name}' is served already"
+                raise InputError("LEVEL", str(source.path), allowed)
             self._checks[check.name] = check
         self._named = dict(self._checks)
         self.read_folder()

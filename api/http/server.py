@@ -38,6 +38,9 @@ DESCRIPTORS_A_FILM = 4
 DESCRIPTORS_LEFT = 16
 """What is left besides: for files of levels and of the viewer, and for logs."""
 
+FOLDER_AGAIN_S = 5.0
+"""After how long reading the folder of levels is tried again where no thread can be started for it."""
+
 LEAST_CONNECTIONS = 8
 BACKLOG = 2048
 
@@ -115,8 +118,15 @@ class Server(uvicorn.Server):
         log.info("SIGHUP: looking at the files of all levels")
         self._service.levels.look_again()
         self._service.archives.look_again()
-        # In a thread of its own: reading new levels takes as long as it takes.
-        threading.Thread(target=self._service.levels.read_folder_again, name="read the folder of levels", daemon=True).start()
+        self._read_folder()
+
+    def _read_folder(self) -> None:
+        """Read the folder of levels in a thread of its own: that takes as long as it takes. Try again where none can be started."""
+        try:
+            threading.Thread(target=self._service.levels.read_folder_again, name="read the folder of levels", daemon=True).start()
+        except (RuntimeError, MemoryError) as error:
+            log.error("the folder of levels cannot be read: %s; trying again in %g s", error, FOLDER_AGAIN_S)
+            asyncio.get_running_loop().call_later(FOLDER_AGAIN_S, self._read_folder)
 
     def _say_how_it_is(self) -> None:
         pool = self._service.pool

@@ -14,11 +14,11 @@ from api.animations.animations import Animations
 from api.animations.drawing import frame_job
 from api.animations.film_order import FilmOrder
 from api.errors import NotServedError
-from api.http.answers import FACTS_S
+from api.http.answers import FACTS_S, ExpectedTime
 from api.http.encoded_tiles import EncodedTiles
 from api.http.metrics import ServiceMetrics
 from api.http.moments import fresh_for
-from api.http.new_suns import NewSuns
+from api.http.new_suns import NewSuns, network_of
 from api.http.served_archives import ServedArchives
 from api.http.served_levels import ServedLevel, ServedLevels
 from api.settings import Settings
@@ -88,11 +88,14 @@ class Service:
         """
         if not self.draws:
             raise NotServedError("level", "This service has archives alone, and draws nothing.")
-        if job.request.sun is not None and self.pool.finished(job) is None:
-            level = None if isinstance(job, DescribedPlanJob) else job.level
-            self.new_suns.take(request.client.host if request.client else "", (level, job.request.sun))
+        client = network_of(request.client.host if request.client else "")
+        if self.pool.finished(job) is None:
+            if job.request.sun is not None:
+                level = None if isinstance(job, DescribedPlanJob) else job.level
+                self.new_suns.take(client, (level, job.request.sun))
+            request.state.expected_time = ExpectedTime(self.pool.expected_wait_s(job, client), self.pool.expected_s(job))
         try:
-            return await cancel_on_disconnect(request, self.pool.run(job))
+            return await cancel_on_disconnect(request, self.pool.run(job, client))
         except (LevelError, SourceError):
             if isinstance(job, DescribedPlanJob) or self.levels.serves(job.level.path):
                 raise
@@ -104,11 +107,16 @@ class ClientGoneError(Exception):
 
 
 def service_of(request: Request) -> Service:
-    """The dependency."""
+    """The service of a request's application."""
     return request.app.state.service
 
 
-TheService = Annotated[Service, Depends(service_of)]
+async def the_service(request: Request) -> Service:
+    """The dependency. A plain function would be called in a thread, of which there may be none left."""
+    return service_of(request)
+
+
+TheService = Annotated[Service, Depends(the_service)]
 
 
 async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:

@@ -11,11 +11,13 @@ from contextvars import ContextVar
 from typing import Any
 
 from starlette.datastructures import MutableHeaders
+from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from api.exhaustion import exhausted_error
 from api.http.metrics import ServiceMetrics
 from api.http.moments import TIME_HEADER
-from api.http.problems import problem_of, problem_response
+from api.http.problems import domain_problem, problem_of, problem_response
 
 REQUEST_ID = "X-Request-ID"
 SANE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
@@ -74,10 +76,13 @@ class Watched:
         self.metrics.in_progress.inc()
         try:
             await self.app(scope, receive, send_watched)
-        except Exception:
-            log.exception("%s %s failed unexpectedly", scope["method"], _shown(scope["path"]))
+        except Exception as error:
+            exhausted = exhausted_error(error)
+            if exhausted is None:
+                log.exception("%s %s failed unexpectedly", scope["method"], _shown(scope["path"]))
             if not status:
-                await problem_response(problem_of(500))(scope, receive, send_watched)
+                answer = problem_response(problem_of(500)) if exhausted is None else domain_problem(Request(scope), exhausted)
+                await answer(scope, receive, send_watched)
         finally:
             took_s = time.perf_counter() - began_s
             self.metrics.in_progress.dec()
@@ -143,6 +148,14 @@ def _complete(headers: MutableHeaders, scope: Scope, number: str, took_ms: float
     asked = scope["state"].get("asked_time")
     if asked is not None and TIME_HEADER not in headers:
         headers[TIME_HEADER] = asked.time.isoformat()
+    location, public_url = headers.get("Location"), scope["app"].state.service.settings.public_url if "app" in scope else None
+    if location is not None and public_url is not None:
+        inner = str(Request(scope).base_url)
+        if location.startswith(inner):  # of the framework's own redirects
+            headers["Location"] = f"{public_url.rstrip('/')}/{location.removeprefix(inner)}"
+    expected = scope["state"].get("expected_time")
+    if expected is not None:
+        headers.update(expected.headers())
     if headers.get("Content-Type", "").startswith("text/html"):
         headers.setdefault("Content-Security-Policy", page_policy())
         headers["Referrer-Policy"] = "same-origin"

@@ -6,6 +6,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 
+from api.picture_cost import NOTABLE_MS, remedy
 from selector.formatting import format_duration, format_list, format_percent
 from selector.planner.planner import SETTING_NAMES
 from shadows.algorithm import AlgorithmSettings, Reasoned
@@ -95,6 +96,8 @@ def format_expectation(plan: Plan) -> str:
         f"{verb}: {format_duration(plan.predicted.ms)} of shadow work, "
         f"{format_percent(plan.predicted.wrong_cast)} of the cast shadow wrong."
     )
+    if plan.predicted.ms > NOTABLE_MS and (cheaper := remedy(plan)) is not None:
+        text = f"{text} For less time, {cheaper}."
     if plan.target.met is None:
         return f"{text} Asked for: {target}."
     if plan.target.met:

@@ -8,14 +8,18 @@ import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+from api.exhaustion import in_thread
 from api.workers.jobs import Preparing
 from terrain.compiling.ahead import PRODUCTS, Progress, compile_ahead
+
+AGAIN_S = 60.0
+"""How long after a failure it is begun again at the earliest."""
 
 log = logging.getLogger("skugga")
 
 
 class BackgroundCompile:
-    """Compiles all missing loops once, in a process of its own. To be used from one event loop.
+    """Compiles all missing loops once, in a process of its own; where that fails, again later. To be used from one event loop.
 
     Parameters
     ----------
@@ -30,7 +34,8 @@ class BackgroundCompile:
         self._thread = ThreadPoolExecutor(1, "skugga-compile")
         self._farm: subprocess.Popen[str] | None = None
         self._task: asyncio.Task[None] | None = None
-        self._closed = False
+        self._is_done = self._closed = False
+        self._not_before_s = float("-inf")
 
     @property
     def is_running(self) -> bool:
@@ -38,8 +43,10 @@ class BackgroundCompile:
         return self._task is not None and not self._task.done()
 
     def begin(self, missing_loops: int) -> None:
-        """Begin, where loops are missing and this has not begun before."""
-        if missing_loops and self._task is None and not self._closed:
+        """Begin, where loops are missing and this has not been done before, nor has failed just now."""
+        if self._closed or self.is_running or self._is_done or asyncio.get_running_loop().time() < self._not_before_s:
+            return
+        if missing_loops:
             self._on_progress(Preparing("compiling loops for everything else", 0, missing_loops))
             self._task = asyncio.create_task(self._run(asyncio.get_running_loop()))
 
@@ -57,8 +64,10 @@ class BackgroundCompile:
             loop.call_soon_threadsafe(self._on_progress, Preparing(task, done, total))
 
         try:
-            await loop.run_in_executor(self._thread, self._compile, report)
+            await in_thread(self._thread, self._compile, report)
+            self._is_done = True
         except Exception as error:  # out of processes or memory: what is missing is compiled when it is called
+            self._not_before_s = loop.time() + AGAIN_S
             log.warning("loops cannot be compiled in the background: %s", error)
         finally:
             self._on_progress(None)

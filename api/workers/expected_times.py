@@ -38,26 +38,49 @@ LIGHT_S = 3.0
 
 
 class ExpectedTimes:
-    """Means of how long jobs took, by kind of job: of snapshots, maps and frames per pixel."""
+    """Means of how long jobs took: of snapshots, maps and frames per pixel.
+
+    They are kept by kind of job, and more finely by what is drawn (``_variant_of``). A variant that was not seen yet is expected to
+    take as long as its kind.
+    """
 
     def __init__(self) -> None:
         self._seconds: Cache[float] = Cache("api.workers.expected_times", "process", MIB, lambda _: 512)
 
     def of(self, job: Job) -> float:
         """Seconds that a job is expected to take."""
-        known = self._seconds.get(kind_of_job(job))
-        return (FIRST_GUESS_S[type(job)] if isinstance(known, Missing) else known) * _size_of(job)
+        known = self._known(job)
+        return (FIRST_GUESS_S[type(job)] if known is None else known) * _size_of(job)
 
     def is_light(self, job: Job) -> bool:
         """Whether jobs of its kind were done before, and took little."""
-        known = self._seconds.get(kind_of_job(job))
-        return not isinstance(known, Missing) and known * _size_of(job) <= LIGHT_S
+        known = self._known(job)
+        return known is not None and known * _size_of(job) <= LIGHT_S
 
     def learn(self, job: Job, seconds: float) -> None:
         """A job took so long."""
-        kind, took = kind_of_job(job), seconds / _size_of(job)
-        known = self._seconds.get(kind)
-        self._seconds.put(kind, value=took if isinstance(known, Missing) else known + NEWEST_SHARE * (took - known))
+        took = seconds / _size_of(job)
+        for key in _keys_of(job):
+            known = self._seconds.get(key)
+            self._seconds.put(key, value=took if isinstance(known, Missing) else known + NEWEST_SHARE * (took - known))
+
+    def _known(self, job: Job) -> float | None:
+        for key in _keys_of(job):
+            known = self._seconds.get(key)
+            if not isinstance(known, Missing):
+                return known
+        return None
+
+
+def _keys_of(job: Job) -> tuple[Hashable, Hashable]:
+    """What times of a job are kept by, the finest first."""
+    kind = kind_of_job(job)
+    return (kind, _variant_of(job)), kind
+
+
+def _variant_of(job: Job) -> Hashable:
+    """What of a job changes its time, besides its kind: the scale, the layer, and how many bytes are encoded."""
+    return tuple(getattr(job, name, None) for name in ("matrix_set", "zoom", "layer", "format", "tiles"))
 
 
 def kind_of_job(job: Job) -> Hashable:

@@ -19,7 +19,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from api.workers.process_life import JOIN_S, end_with_parent, give_way
+from api.exhaustion import in_thread
+from api.workers.process_life import JOIN_S, end_with_parent, give_way, process_end
 from terrain.errors import SkuggaError
 
 QUIET_S = 5.0
@@ -119,35 +120,37 @@ class IdleWork:
         """What a job returns; its process is gone after it, whatever happens. Raises ``_FailedError``, ``_NotWantedError`` or
         ``OSError``.
         """
-        loop, spawn = asyncio.get_running_loop(), get_context("spawn")
+        spawn = get_context("spawn")
         # What a killed process leaves in its temporary folder goes with it.
         with tempfile.TemporaryDirectory(prefix="skugga-", ignore_cleanup_errors=True) as folder:
             ours, theirs = spawn.Pipe()
             process = spawn.Process(
                 target=idle_main, args=(theirs, folder, self._gl_threads, job.function, job.args), name="skugga-idle", daemon=True
             )
-            started = loop.run_in_executor(self._threads, process.start)
+            started: asyncio.Future[None] | None = None
             answer: asyncio.Future[Any] | None = None
             try:
+                started = in_thread(self._threads, process.start)
                 await asyncio.shield(started)
                 theirs.close()  # else its end would not be noticed
                 self._process, self.paused = process, False
-                answer = loop.run_in_executor(self._threads, ours.recv)
+                answer = in_thread(self._threads, ours.recv)
                 await self._watch(job, answer)
                 try:
                     done, result = answer.result()
                 except (EOFError, OSError):
-                    await loop.run_in_executor(None, process.join, JOIN_S)
+                    await process_end(process)
                     raise _FailedError(f"its process ended with status {process.exitcode}") from None
                 if not done:
                     raise _FailedError(result)
                 return result
             finally:
                 self._process, self.paused = None, False
-                await asyncio.wait({started})
+                if started is not None:
+                    await asyncio.wait({started})
                 if process.pid is not None:
                     process.kill()
-                    await loop.run_in_executor(None, process.join, JOIN_S)
+                    await process_end(process)
                 if answer is not None:
                     await asyncio.wait({answer}, timeout=JOIN_S)
                     answer.cancelled() or answer.exception()

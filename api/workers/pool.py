@@ -1,19 +1,21 @@
-"""The render processes of a service: a bounded queue before them, one render for all who want the same, finished pictures
-kept, and a service that goes on when a process hangs, is stopped or dies."""
+"""The render processes of a service: a queue before them that is fair to clients, one render for all who want the same, finished
+pictures kept, and a service that goes on when a process hangs, is stopped or dies."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
-import math
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from api.errors import LaterError, SetAsideError, WorkerCrashError
+from api.errors import ExhaustedError, LaterError, SetAsideError, WorkerCrashError
+from api.exhaustion import exhausted_error, in_thread
 from api.settings import Settings, cores
+from api.workers.admission import check_admission, retry_after_s
 from api.workers.background_compile import BackgroundCompile
 from api.workers.idle_calibration import IdleCalibration, measured_profile
 from api.workers.idle_probes import IdleProbes, Probe, probed_level
@@ -57,9 +59,6 @@ PING_EVERY_S, PONG_S = 5.0, 30.0
 """How long a process may be idle before it is asked whether it still answers, and how long it may take to: it may be opening a
 level for later requests.
 """
-
-LONGEST_RETRY_S = 120
-"""The latest that a refused client is told to come back."""
 
 TRIES = 2
 """How often a job is begun whose process dies in the middle of it."""
@@ -120,6 +119,7 @@ class Pool:
         self._set_aside = SetAside()
         self._news = asyncio.Event()
         self._slots: list[asyncio.Task[None]] = []
+        self._workers: set[WorkerProcess] = set()
         self._start_error: SkuggaError | None = None
         self._closed = False
         self._settled = asyncio.Event()
@@ -220,12 +220,16 @@ class Pool:
         self._fail_all(BusyError("The service is shutting down."), list(self._flights.values()))
         self._threads.shutdown(wait=True)
 
-    async def run(self, job: Job) -> Result:
-        """The answer to a job, from memory where it is kept.
+    def expected_wait_s(self, job: Job, client: str) -> float:
+        """Seconds that a job of a client that comes now is expected to wait for its turn."""
+        return self._queue.wait_s(job, client, asyncio.get_running_loop().time())
 
-        Raises ``LaterError`` where the queue is full or its turn does not come in time, ``SetAsideError`` where such jobs keep
-        failing, ``GraphicsError`` where no process can be started, ``RenderTimeoutError``, ``WorkerCrashError``, and what the work
-        itself raises. A job that nobody waits for any more is dropped unless it has begun.
+    async def run(self, job: Job, client: str = "") -> Result:
+        """The answer to a job of a client, from memory where it is kept.
+
+        Raises ``LaterError`` where the client has too much in the queue or its turn does not come in time, ``SetAsideError`` where
+        such jobs keep failing, ``GraphicsError`` where no process can be started, ``RenderTimeoutError``, ``WorkerCrashError``, and
+        what the work itself raises. A job that nobody waits for any more is dropped unless it has begun.
 
         The answer goes by plans of the version that there was when it was asked for, or by newer ones.
         """
@@ -233,75 +237,70 @@ class Pool:
         if kept is not None:
             return kept
         version = self._version_of(job)
-        flight = self._flights.get(job) or self._enqueue(job)
-        answer = await self._landed(flight)
+        flight = self._flights.get(job) or self._enqueue(job, client)
+        answer = await self._landed(flight, client)
         if flight.plan_version not in (version, self._version_of(job)):  # it had begun before, by older plans
-            answer = await self._landed(self._flights.get(job) or self._enqueue(job))
+            answer = await self._landed(self._flights.get(job) or self._enqueue(job, client), client)
         if isinstance(answer, Failure):
             raise answer.error()
         return answer
 
-    async def _landed(self, flight: PendingJob) -> Answer:
-        """How a job ends, for whom waits for it."""
+    async def _landed(self, flight: PendingJob, client: str) -> Answer:
+        """How a job ends, for a client that waits for it."""
         job = flight.job
-        flight.waiting += 1
+        flight.clients[client] += 1
         try:
             return await asyncio.shield(flight.answer)
         finally:
-            flight.waiting -= 1
-            if not flight.waiting and self._queue.waiting.get(job) is flight:
+            flight.clients[client] -= 1
+            flight.clients += Counter()  # drops those of whom no request waits
+            if not flight.clients and self._queue.waiting.get(job) is flight:
                 self._forget(flight)
                 flight.answer.cancel()
                 self.tally.abandoned += 1
 
-    def _enqueue(self, job: Job) -> PendingJob:
+    def _enqueue(self, job: Job, client: str) -> PendingJob:
         if self._closed:
             raise BusyError("The service is shutting down.")
         if self._start_error is not None and not self.pids:
-            raise GraphicsError(str(self._start_error))
+            raise _start_failure(self._start_error)
         self.idle.disturb()
         loop = asyncio.get_running_loop()
         left_s = self._set_aside.seconds_left(job)
         if left_s > 0.0:
             self.tally.refused += 1
             raise _set_aside(job, left_s)
-        flight = PendingJob(job, loop.create_future(), loop.time(), stands_back=isinstance(job, FrameJob))
+        flight = PendingJob(job, loop.create_future(), loop.time(), is_background=isinstance(job, FrameJob))
         # An error that nobody waits for any more is no news.
         flight.answer.add_done_callback(lambda answer: answer.cancelled() or answer.exception())
-        if not flight.stands_back:
-            self._let_in(job, loop.time())
+        if not flight.is_background:
+            try:
+                check_admission(self._queue, job, client, loop.time(), self._settings, bool(self.pids))
+            except LaterError:
+                self.tally.refused += 1
+                raise
             self._limit_waiting(flight)
         self._flights[job] = flight
         self._queue.put(flight)
         self._news.set()
         return flight
 
-    def _let_in(self, job: Job, now_s: float) -> None:
-        """Raise ``LaterError`` where the queue is full, or the turn of a job that comes now would not come in time."""
-        waiting = len(self._queue.asked_for)
-        if waiting >= self._settings.queue_length:
-            self.tally.refused += 1
-            message = f"The service is busy: {waiting} pictures are waiting to be drawn."
-            raise LaterError(message, _retry_s(self._queue.drained_s()))
-        wait_s = self._queue.wait_s(job, now_s)
-        # Before the first process is ready there is no telling how long anything takes.
-        if self.pids and wait_s > self._queue.longest_wait_s(job, now_s, self._settings.queue_timeout_s):
-            self.tally.refused += 1
-            raise LaterError(f"The service is busy: the wait is expected to be {wait_s:.1f} s.", _retry_s(wait_s))
-
     def _limit_waiting(self, flight: PendingJob) -> None:
         flight.expires = asyncio.get_running_loop().call_later(self._settings.queue_timeout_s, self._expire, flight)
 
     def _expire(self, flight: PendingJob) -> None:
-        """Its turn has not come in time. Before the first process is ready, or while none is, waiting is limited by their start."""
+        """Its turn has not come in time. Waiting is limited by the start of processes before the first one is ready or while none
+        is, and while one compiles loops by the end of that.
+        """
         if self._queue.waiting.get(flight.job) is not flight:
             return
-        if not self._settled.is_set():
+        if not self._settled.is_set() or any(worker.is_preparing for worker in self._workers):
             self._limit_waiting(flight)
             return
         self.tally.expired += 1
         waited = f"The service is busy: this picture's turn did not come within {self._settings.queue_timeout_s:g} s."
-        self._land(flight, LaterError(waited, _retry_s(self._queue.drained_s())))
+        wait_s = self._queue.wait_s(flight.job, flight.client, asyncio.get_running_loop().time())
+        self._land(flight, LaterError(waited, retry_after_s(wait_s)))
 
     async def _slot(self, number: int) -> None:
         """Keep one process running, whatever happens to it. The first to start compiles what the others then find compiled."""
@@ -315,7 +314,7 @@ class Pool:
                 healthy = await self._one_process(number)
             except Exception as error:  # out of descriptors, threads or memory, or a bug: the slot outlives all of them
                 log.error("a render process's place failed, and starts another: %s: %s", type(error).__name__, error)
-                self._could_not_start(GraphicsError(f"a render process cannot be started: {error}"))
+                self._could_not_start(exhausted_error(error) or GraphicsError(f"a render process cannot be started: {error}"))
                 healthy = False
             failures = 0 if healthy else failures + 1
 
@@ -328,10 +327,12 @@ class Pool:
             config = replace(self._config, needs_opengl=needs_opengl, basis=self.basis, number=number)
             spawned = Spawned(self._target, config)
         worker = WorkerProcess(spawned, self._threads, self._news.set, self._note_preparing)
+        self._workers.add(worker)
         try:
-            worker.first_blocks = await asyncio.get_running_loop().run_in_executor(self._threads, self._first_blocks)
+            worker.first_blocks = await in_thread(self._threads, self._first_blocks)
             return await self._start_and_serve(worker)
         finally:
+            self._workers.discard(worker)
             self.pids.discard(worker.pid or 0)
             await worker.end()
 
@@ -364,7 +365,7 @@ class Pool:
         self._start_error = error
         self._settled.set()
         if not self.pids:
-            self._fail_all(GraphicsError(str(error)), list(self._queue.waiting.values()))
+            self._fail_all(_start_failure(error), list(self._queue.waiting.values()))
 
     async def _serve(self, worker: WorkerProcess) -> bool:
         """Whether the process took any job: what ends it after that is the job's doing, and no failed start."""
@@ -375,6 +376,9 @@ class Pool:
             flight.plan_version = self._version_of(flight.job)
             try:
                 answer = await worker.ask(flight.job, self._settings.render_timeout_s, self.basis)
+            except ExhaustedError as error:  # the process was not asked
+                self._land(flight, error)
+                continue
             except WorkerCrashError as error:
                 log.error("render process %s is replaced: %s", worker.pid, error)
                 self._try_again(flight, error)
@@ -382,7 +386,7 @@ class Pool:
             except RenderTimeoutError as error:
                 log.error("render process %s is replaced: %s", worker.pid, error)
                 self.tally.timed_out += 1
-                self._queue.expected.learn(flight.job, self._settings.render_timeout_s)
+                self._queue.learn(flight.job, self._settings.render_timeout_s)
                 self._land(flight, error)
                 self._fails(flight.job)
                 return True
@@ -415,6 +419,8 @@ class Pool:
                     worker.first_blocks = ()
                     if isinstance(pong, Pong):
                         self.compiling.begin(pong.missing_loops)
+                except ExhaustedError:  # it is asked again later
+                    continue
                 except (RenderTimeoutError, WorkerCrashError):
                     log.error("render process %s is replaced: it does not answer any more", worker.pid)
                     return None
@@ -423,12 +429,12 @@ class Pool:
 
     def _try_again(self, flight: PendingJob, outcome: Failure | SkuggaError) -> None:
         """Begin a job again whose process ended in the middle of it, once, if anybody still waits; else tell how it ended."""
-        if flight.begun < TRIES and flight.waiting and not self._closed:
+        if flight.begun < TRIES and flight.clients and not self._closed:
             self._queue.discard(flight)
             self._queue.put(flight)
             self._news.set()
             self.tally.retried += 1
-            if not flight.stands_back:
+            if not flight.is_background:
                 self._limit_waiting(flight)
             return
         self._land(flight, outcome)
@@ -449,7 +455,7 @@ class Pool:
         """Answer all who wait. ``learn`` from the time that the job took, unless something was prepared for it, as happens once."""
         if flight.began_s is not None and not isinstance(answer, SkuggaError | Failure):
             if learn:
-                self._queue.expected.learn(flight.job, asyncio.get_running_loop().time() - flight.began_s)
+                self._queue.learn(flight.job, asyncio.get_running_loop().time() - flight.began_s)
             self._set_aside.succeeded(flight.job)
         self._forget(flight)
         if flight.answer.done():
@@ -479,6 +485,11 @@ class Pool:
             self._land(flight, error)
 
 
+def _start_failure(error: SkuggaError) -> SkuggaError:
+    """What a request is told whose process cannot be started."""
+    return error if isinstance(error, ExhaustedError) else GraphicsError(str(error))
+
+
 def _named(job: Job) -> str:
     if isinstance(job, DescribedPlanJob):
         return "A plan of such a descriptor"
@@ -488,8 +499,4 @@ def _named(job: Job) -> str:
 
 def _set_aside(job: Job, left_s: float) -> SetAsideError:
     message = f"{_named(job)} took too long, or ended its process, several times: it is tried again later."
-    return SetAsideError(message, _retry_s(left_s))
-
-
-def _retry_s(seconds: float) -> int:
-    return min(max(math.ceil(seconds), 1), LONGEST_RETRY_S)
+    return SetAsideError(message, retry_after_s(left_s))

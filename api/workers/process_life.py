@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import ctypes
 import os
 import signal
 import sys
 from contextlib import suppress
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 PR_SET_PDEATHSIG = 1
@@ -22,6 +24,9 @@ LOWEST = 19
 
 JOIN_S = 5.0
 """How long a killed process may take to be gone."""
+
+END_CHECK_S = 0.005
+"""How often it is looked whether a killed process is gone."""
 
 STOPPED_STATES = "Tt"
 """Of ``/proc/PID/stat``: stopped by a signal or by a tracer."""
@@ -47,6 +52,13 @@ def give_way() -> None:
         os.nice(LOWEST)
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
+
+
+async def process_end(process: BaseProcess) -> None:
+    """Wait until a killed process is gone, for ``JOIN_S`` at most. This needs no thread: there may be none left."""
+    until_s = asyncio.get_running_loop().time() + JOIN_S
+    while process.exitcode is None and asyncio.get_running_loop().time() < until_s:
+        await asyncio.sleep(END_CHECK_S)
 
 
 def is_stopped(pid: int) -> bool:

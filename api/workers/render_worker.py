@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from api.device_calibration import calibration
-from api.errors import TooCostlyError
 from api.layers import LAYERS, PASS_LAYERS, encode_picture, frame_layer, viewable
+from api.picture_cost import check_cost
 from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
 from api.workers.block_tiles import PicturedBlock, cut_tiles, encoded_tiles
 from api.workers.drawn_blocks import block_of_grid, drawn_block, grid_of_zoom
@@ -72,7 +72,7 @@ from terrain.compiling.farm import missing_tasks
 from terrain.compiling.hooks import compiled_by, need
 from terrain.compiling.loop_cache import loop_store
 from terrain.describe import describe
-from terrain.errors import Fault, GraphicsError, NoOpenGLError, RenderError, SkuggaError
+from terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.covered_nodes import is_bare
 from terrain.geo.camera import PerspectiveView
@@ -261,12 +261,9 @@ def _plan_of_facts(job: DescribedPlanJob, state: WorkerState) -> PlanAnswer:
     return PlanAnswer(plan.model_dump_json())
 
 
-def _check_cost(plan: Plan, size: str, state: WorkerState) -> None:
+def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
     """Raise ``TooCostlyError`` where a calibrated device is expected to take longer than a picture may."""
-    expected_ms = None if plan.predicted is None else plan.predicted.ms
-    if state.most_ms is not None and expected_ms is not None and expected_ms > state.most_ms:
-        reason = Fault(f"{size} by {plan.headline} is expected to take {expected_ms / 1000.0:.0f} s")
-        raise TooCostlyError("size", reason, f"pictures of at most {state.most_ms / 1000.0:g} s (SKUGGA_RENDER_TIMEOUT_S)")
+    check_cost(plan, subject, state.most_ms, "SKUGGA_RENDER_TIMEOUT_S")
 
 
 def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:

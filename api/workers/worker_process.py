@@ -8,10 +8,11 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any, TypeVar
 
-from api.errors import WorkerCrashError
+from api.errors import ExhaustedError, WorkerCrashError
+from api.exhaustion import exhausted_error, in_thread
 from api.workers.jobs import Answer, BlockJob, Failure, Job, Ping, Preparing, Ready
 from api.workers.plan_basis import PlanBasis
-from api.workers.process_life import JOIN_S, is_stopped
+from api.workers.process_life import JOIN_S, is_stopped, process_end
 from api.workers.spawned import Spawned
 from terrain.errors import GraphicsError, RenderTimeoutError
 
@@ -30,8 +31,8 @@ class WorkerProcess:
     """A process that was spawned, or is to be. ``start`` it, ``ask`` it one job at a time, then ``end`` it.
 
     In the event loop ``on_death`` is called when it ends by itself, and ``on_preparing`` with what it does before it is ready or
-    begins a job. ``basis`` is what its plans go by. ``prepared`` says whether it had to prepare for the job that it did last. For
-    ``first_blocks`` it prepares while it is idle, once it was told of them.
+    begins a job. ``basis`` is what its plans go by. ``prepared`` says whether it had to prepare for the job that it did last,
+    ``is_preparing`` whether it does now. For ``first_blocks`` it prepares while it is idle, once it was told of them.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class WorkerProcess:
         self.first_blocks: tuple[BlockJob, ...] = ()
         self.dead = False
         self.prepared = False
+        self.is_preparing = False
 
     @property
     def pid(self) -> int | None:
@@ -66,7 +68,7 @@ class WorkerProcess:
             try:
                 await asyncio.shield(self._in_new_thread(self._spawned.start))
             except OSError as error:
-                raise GraphicsError(f"a render process cannot be started: {error.strerror}") from None
+                raise exhausted_error(error) or GraphicsError(f"a render process cannot be started: {error.strerror}") from None
         self._watched = self._process.sentinel
         asyncio.get_running_loop().add_reader(self._watched, self._note_death)
         try:
@@ -82,7 +84,7 @@ class WorkerProcess:
 
     async def ask(self, job: Job | Ping, timeout_s: float, basis: PlanBasis | None = None) -> Answer:
         """The answer to a job, by plans of a ``basis`` (``None``: as before). After a ``WorkerCrashError`` or
-        ``RenderTimeoutError`` the process is of no more use.
+        ``RenderTimeoutError`` the process is of no more use. Raises ``ExhaustedError`` where there is no thread to ask it in.
         """
         told, self.basis = self.basis, basis or self.basis
         self.prepared = False
@@ -95,6 +97,8 @@ class WorkerProcess:
 
         try:
             return await self._answer(send_and_receive, timeout_s)
+        except ExhaustedError:  # nothing was sent
+            raise
         except TimeoutError:
             raise RenderTimeoutError(f"The picture took longer than the {timeout_s:g} s it may take.") from None
         except Exception as error:  # the pipe broke, or brought what cannot be read
@@ -107,7 +111,7 @@ class WorkerProcess:
         self._unwatch()
         if self.pid is not None:
             self._process.kill()
-            await asyncio.get_running_loop().run_in_executor(None, self._process.join, JOIN_S)
+            await process_end(self._process)
         if self._in_thread is not None:
             done, _ = await asyncio.wait({self._in_thread}, timeout=JOIN_S)
             if not done:  # a closed pipe's number could be another file's before it is read
@@ -118,13 +122,16 @@ class WorkerProcess:
     async def _answer(self, function: Callable[[], Any], timeout_s: float) -> Any:
         """Return what follows all that is prepared first; each step of that may take ``timeout_s``. Raises as ``_heard``."""
         heard = await self._heard(function, timeout_s)
-        while isinstance(heard, Preparing):
-            self.prepared = True
-            if heard.task != self._task:
-                log.info("render process %s: %s", self.pid, heard.task)
-                self._task = heard.task
-            self._on_preparing(heard)
-            heard = await self._heard(self._pipe.recv, timeout_s)
+        try:
+            while isinstance(heard, Preparing):
+                self.prepared = self.is_preparing = True
+                if heard.task != self._task:
+                    log.info("render process %s: %s", self.pid, heard.task)
+                    self._task = heard.task
+                self._on_preparing(heard)
+                heard = await self._heard(self._pipe.recv, timeout_s)
+        finally:
+            self.is_preparing = False
         return heard
 
     async def _heard(self, function: Callable[[], T], timeout_s: float) -> T:
@@ -142,7 +149,7 @@ class WorkerProcess:
 
     def _in_new_thread(self, function: Callable[[], T]) -> asyncio.Future[T]:
         """Run in a thread, which goes on where the waiting is given up: it ends with the process."""
-        running = asyncio.get_running_loop().run_in_executor(self._threads, function)
+        running = in_thread(self._threads, function)
         running.add_done_callback(lambda done: done.cancelled() or done.exception())
         self._in_thread = running
         return running

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
-from shadows.area_light import LIGHT_SAMPLES
 from shadows.maps.settings import Cascade, LampMapSettings, MapFilter, PerspectiveMapSettings, ShadowMapSettings
 from shadows.maps.taps import sun_taps
 from shadows.maps.windows import MAP_BORDER_TEXELS
+from shadows.penumbra import MAX_POINTS
 from terrain.cache import MIB, cached
 from terrain.errors import UnsupportedError
 from terrain.facts.descriptor import Descriptor
@@ -83,7 +83,7 @@ def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | L
         return sun_map_settings(request.descriptor, request.shadows)
     lamp = next(lamp for lamp in request.descriptor.lamps if lamp.name == request.light)
     taps, why = _taps(request)
-    return lamp_map_settings(request.descriptor, lamp, request.shadows, taps, why)
+    return lamp_map_settings(request.descriptor, lamp, request.shadows, taps, why, request.light_points)
 
 
 def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMapSettings, list[Reasoned]]:
@@ -144,12 +144,15 @@ def _taps(request: SettingsRequest) -> tuple[MapFilter, list[Reasoned]]:
     who = "" if light == SUN else f"{light}: "
     if request.is_area:
         what = "the sun's disc" if light == SUN else "the lamp's ball"
-        return "sun", [Reasoned(name=f"{who}filter sun", reason=f"the mean of maps from {LIGHT_SAMPLES} points of {what}")]
+        return "sun", [Reasoned(name=f"{who}filter sun", reason=f"the mean of maps from {request.light_points} points of {what}")]
     if taps == "sun" and descriptor.highest_sun_deg is None:
         reason = f"the lamp '{light}' has no radius, so it is a point without a penumbra: it takes 1, 2, 3 or 5 taps a side"
         raise UnsupportedError("filter", "sun", reason)
     if taps == "sun":
         return 3, [Reasoned(name=f"{who}filter 3", reason=f"{light} has no radius: it is a point without a penumbra")]
+    lamp = next((lamp for lamp in descriptor.lamps if lamp.name == light), None)
+    if taps == "auto" and lamp is not None and lamp.radius_m > 0.0:
+        return 3, [Reasoned(name=f"{who}filter 3", reason=f"{light}'s penumbrae are narrower than a pixel: a point casts the same")]
     if taps == "auto":
         why = "by the wrong share of the cast shadow: 3 x 3 taps smooth the texel stairs along shadow edges"
         return 3, [Reasoned(name=f"{who}filter 3", reason=why)]
@@ -157,7 +160,7 @@ def _taps(request: SettingsRequest) -> tuple[MapFilter, list[Reasoned]]:
 
 
 def lamp_map_settings(
-    descriptor: Descriptor, lamp: LampFacts, shadows: Shadows, taps: MapFilter, why_taps: list[Reasoned]
+    descriptor: Descriptor, lamp: LampFacts, shadows: Shadows, taps: MapFilter, why_taps: list[Reasoned], points: int = MAX_POINTS
 ) -> tuple[LampMapSettings, list[Reasoned]]:
     """Settings of a lamp's map: a texel at the distance that the lamp is meant for keeps to ``TEXEL_PX``."""
     across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
@@ -172,7 +175,7 @@ def lamp_map_settings(
         why = "depth steps of a perspective map grow with the square of the distance: float keeps them small"
         reasons.append(Reasoned(name=f"{lamp.name}: depth_bits 32", reason=why))
     reasons += why_taps
-    return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, **_bias_and_culling(shadows)), reasons
+    return LampMapSettings(map_size=size, depth_bits=bits, filter=taps, light_points=points, **_bias_and_culling(shadows)), reasons
 
 
 def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
@@ -196,7 +199,10 @@ def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
         bits = 24 if light == SUN else 32
         why = "steps grow with the distance from the eye" if light == SUN else "steps grow with the square of the lamp's distance"
         reasons.append(Reasoned(name=f"{who}depth_bits {bits}", reason=f"{why}: 16 bits are too coarse far away"))
-    return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps), [*reasons, *why_taps]
+    return PerspectiveMapSettings(map_size=size, depth_bits=bits, filter=taps, light_points=request.light_points), [
+        *reasons,
+        *why_taps,
+    ]
 
 
 def _bias_and_culling(shadows: Shadows) -> dict[str, Any]:

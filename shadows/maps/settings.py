@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from shadows.algorithm import AlgorithmSettings
+from shadows.algorithm import AlgorithmSettings, AreaSettings
 
 MapFit = Literal["stable", "tight"]
 """Where a sun's map lies: on a fixed lattice, so that texels never move against the ground, or close round the receivers."""
@@ -63,7 +63,7 @@ class ShadowMapSettings(AlgorithmSettings):
         return [str(self.map_size), str(self.filter), str(self.depth_bits), *several, *self.changed()]
 
 
-class LampMapSettings(AlgorithmSettings):
+class LampMapSettings(AreaSettings):
     """Settings of a spot's shadow map, or of each of an omni light's six: texels a side, bits of depth, taps a side, or ``sun`` for
     the penumbra of the lamp's ball: a map from each of many points of it.
     """
@@ -81,7 +81,7 @@ class LampMapSettings(AlgorithmSettings):
         return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed()]
 
 
-class PerspectiveMapSettings(AlgorithmSettings):
+class PerspectiveMapSettings(AreaSettings):
     """Settings of a perspective shadow map: texels a side, bits of depth, taps a side, or ``sun`` for the penumbra of the light's
     disc or ball: a map for each of many points of it.
 

@@ -23,7 +23,7 @@ def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSetting
         windows = sun_windows(task.descriptor, settings)
         return {task.by_view("shadow_map"): _counts(task, windows, settings.filter, task.facing)}
     if settings.filter == "sun":
-        return times_points(shadow_map_work(task, settings.model_copy(update={"filter": 1})))
+        return times_points(shadow_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
     faces = 6 if task.light_kind == "omni" else 1
     windows = [(float(settings.map_size**2), task.level_light_m2)] * faces
     return {f"shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.seen)}
@@ -32,7 +32,7 @@ def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSetting
 def perspective_map_work(task: Workload, settings: PerspectiveMapSettings) -> Work:
     """Of a perspective map."""
     if settings.filter == "sun":
-        return times_points(perspective_map_work(task, settings.model_copy(update={"filter": 1})))
+        return times_points(perspective_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
     windows = [(float(settings.map_size**2), task.seen_light_m2)]
     return {f"perspective_shadow_map, {task.light_kind}": _counts(task, windows, settings.filter, task.facing)}
 

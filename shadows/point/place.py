@@ -79,7 +79,7 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
         raise InputError("height", height_m, f"0 to {HIGHEST_EYE_M:.0f} metres above the ground")
     ground = paged_relief(scene)
     x, y = _on_grid(scene, ground, at, crs)
-    allowed = f"a place on the level's data{_extent(scene)}"
+    allowed = _allowed_places(scene, at, crs)
     if not max(abs(x), abs(y)) <= MAX_COORDINATE:
         raise InputError(POINT, f"{at[0]:.10g},{at[1]:.10g}", allowed)
     row, col = (float(v) for v in ground.node_of(x, y))
@@ -121,8 +121,13 @@ def _in_raster(scene: Scene, ground: PagedRelief, x: float, y: float) -> tuple[f
     return transformer(ground.grid.crs, scene.elevation.crs).transform(x, y)
 
 
-def _extent(scene: Scene) -> str:
+def _allowed_places(scene: Scene, at: tuple[float, float], crs: CRS | None) -> str:
+    """What is allowed in place of coordinates without ground. Within the bounds it is the raster that has no height there."""
     if scene.world.flat or scene.bounds_lon_lat is None:
-        return ""
+        return "a place on the level's data"
     west, south, east, north = scene.bounds_lon_lat
-    return f": longitudes {west:.4f} to {east:.4f}, latitudes {south:.4f} to {north:.4f}"
+    bounds = f"longitudes {west:.4f} to {east:.4f}, latitudes {south:.4f} to {north:.4f}"
+    is_within = crs is None and south <= at[1] <= north and any(west <= at[0] + turn <= east for turn in (-360.0, 0.0, 360.0))
+    if is_within:
+        return f"a cell with a height: within the level's bounds ({bounds}) its raster has none there"
+    return f"a place on the level's data: {bounds}"

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from shadows.algorithm import AlgorithmSettings, Reasoned, ResolvedSettings, SettingsRequest
-from shadows.area_light import LIGHT_SAMPLES
+from shadows.algorithm import AlgorithmSettings, AreaSettings, Reasoned, ResolvedSettings, SettingsRequest
 from terrain.level.level import Shadows
 
 
@@ -18,7 +17,7 @@ class StencilSettings(AlgorithmSettings):
     counting: Literal["auto", "z_fail"] = "auto"
 
 
-class VolumeSettings(StencilSettings):
+class VolumeSettings(StencilSettings, AreaSettings):
     """Settings of shadow volumes: how they are counted; and ``filter``, 1 for the hard edges of a light that is a point, or ``sun``
     for the penumbra of its disc or ball: the volumes of each of many points of it.
     """
@@ -37,8 +36,8 @@ def resolve_volumes(request: SettingsRequest) -> ResolvedSettings:
     settings = stencil_settings(request.shadows)
     if not request.is_area:
         return VolumeSettings(**settings), request.without_filter("shadow_volume")
-    reason = f"the mean of the volumes of {LIGHT_SAMPLES} points of the light"
-    return VolumeSettings(**settings, filter="sun"), [Reasoned(name="filter sun", reason=reason)]
+    reason = f"the mean of the volumes of {request.light_points} points of the light"
+    return VolumeSettings(**settings, filter="sun", light_points=request.light_points), [Reasoned(name="filter sun", reason=reason)]
 
 
 def stencil_settings(shadows: Shadows) -> dict[str, Any]:

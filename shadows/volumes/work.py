@@ -22,7 +22,7 @@ SHEET_TRIANGLES = 2 * PATCH_QUADS**2
 def volume_work(task: Workload, settings: VolumeSettings) -> Work:
     """Of shadow volumes in all of the picture."""
     counts = {task.by_view("silhouettes"): silhouette_counts(task), task.by_view("counting"): stencil_counts(task, settings)}
-    return times_points(counts) if settings.filter == "sun" else counts
+    return times_points(counts, settings.light_points) if settings.filter == "sun" else counts
 
 
 def silhouette_counts(task: Workload) -> Counts:

@@ -439,6 +439,8 @@ def load_level(source: Path | str | LevelSource) -> LoadedLevel:
     """
     source = LevelSource.of(source)
     loaded = _loaded(source)
+    if source.name is not None:
+        loaded = loaded.model_copy(update={"name": source.name})
     if source.roots is not None:
         DataRoots(source.roots).check_level(loaded)
     return loaded

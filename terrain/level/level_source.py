@@ -48,7 +48,8 @@ class LevelSource(BaseModel):
     heights), ``nodata``, the cells' value that means that no height is known there, ``units`` of heights, and ``positive``, where
     they grow to. Of a level file they are ``None``.
 
-    ``roots`` are folders in one of which, or below, all has to lie that the level is read from; ``None``: anywhere.
+    ``name`` is the level's; ``None``: its file's, without the suffix. ``roots`` are folders in one of which, or below, all has to
+    lie that the level is read from; ``None``: anywhere.
     """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
@@ -59,6 +60,7 @@ class LevelSource(BaseModel):
     nodata: float | None = None
     units: Units | None = None
     positive: Positive | None = None
+    name: str | None = None
     roots: tuple[Path, ...] | None = None
 
     @classmethod

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from api.catalogue import find_level
-from shadows.area_light import LIGHT_SAMPLES, ball_points, disc_points
+from shadows.area_light import ball_points, disc_points
 from shadows.attached import attached
 from shadows.executed_effects import executed_effects
+from shadows.penumbra import MAX_POINTS
 from shadows.render import render_frame
 from shadows.truth.metrics import soft_error
 from shadows.truth.truth import ALL_KINDS, area_visibility, ray_scene
@@ -65,7 +66,7 @@ def test_points_of_a_disc_and_of_a_ball_cover_it_evenly():
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
     flat = sides[:, :2] / np.linalg.norm(sides[:, :2], axis=1, keepdims=True)
     places = np.linspace(-0.95, 0.95, 39)
-    for points, ways in ((disc_points(LIGHT_SAMPLES), flat), (ball_points(LIGHT_SAMPLES), sides)):
+    for points, ways in ((disc_points(MAX_POINTS), flat), (ball_points(MAX_POINTS), sides)):
         assert np.linalg.norm(points, axis=1).max() < 1.0
         found = (points @ ways.T > places[:, None, None]).mean(axis=1)
         wrong = np.abs(found - share_beyond(places)[:, None])
@@ -159,11 +160,11 @@ def test_the_plan_and_the_record_say_what_runs(gl, tmp_path):
     plan = plan_of(scene, view, algorithm={"sun": "shadow_volume", "spot": "perspective_shadow_map"}, filter="sun")
     assert plan.settings["sun"]["meshes"].filter == plan.settings["spot"]["meshes"].filter == "sun"
     reasons = {reason.name: reason.reason for reason in plan.reasons}
-    assert str(LIGHT_SAMPLES) in reasons["filter sun"] and str(LIGHT_SAMPLES) in reasons["spot: filter sun"]
+    assert str(MAX_POINTS) in reasons["filter sun"] and str(MAX_POINTS) in reasons["spot: filter sun"]
     frame = render_frame(scene, view, plan)
     assert "soft_edges" in plan.runs and "soft_edges" in executed_effects(frame.passes)
     points = {(record.name.split("/")[0], record.name.split(": ")[-1]): record.light_points for record in frame.passes}
-    assert points["sun", "stencil"] == points["spot", "depth map"] == LIGHT_SAMPLES
+    assert points["sun", "stencil"] == points["spot", "depth map"] == MAX_POINTS
     hard = render_frame(scene, view, plan_of(scene, view, algorithm="shadow_volume", filter=1))
     assert {record.light_points for record in hard.passes} == {1} and "soft_edges" not in executed_effects(hard.passes)
 

@@ -82,6 +82,10 @@ def render(
     ] = None,
     fps: Annotated[float | None, typer.Option(help="Frames a second of a film that plays; default: 25.")] = None,
     lossless: Annotated[bool, typer.Option("--lossless", help="Of a film as .webp: lose nothing, at six times the size.")] = False,
+    max_ms: Annotated[
+        float | None,
+        typer.Option(help="Draw what is expected to take longer than a service would draw (60 s a block): up to so long.", min=0.0),
+    ] = None,
     stats: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write plan, passes, times and caster reach as JSON.")
     ] = None,
@@ -106,7 +110,7 @@ def render(
         sun, shape = parse_sun(time, azimuth, altitude), read_size(size)
         kept = frozenset(pass_layer for pass_layer in PASS_LAYERS if pass_layer == layer)
         look = Appearance(style, slope_exaggeration)
-        scene, frame = snapshot(level, view, sun, overrides, shape, read_bounds(bounds), crs, advance, seconds, kept, look)
+        scene, frame = snapshot(level, view, sun, overrides, shape, read_bounds(bounds), crs, advance, seconds, kept, look, max_ms)
     write_layer(scene, frame.under(light), layer, output)
     if stats is not None:
         write_whole(stats, json.dumps(statistics(scene, frame), indent=2) + "\n")

@@ -43,6 +43,8 @@ def serve(
     archives = [each for each in levels if each.path.suffix.lower() == ARCHIVE_SUFFIX]
     for option in (option for each in archives for option in each.options):
         raise InputError(f"--{option}", str(levels[0].path), "a raster beside it: an archive is served as it is")
+    for named in (each for each in archives if each.name is not None):
+        raise InputError("LEVEL", f"{named.name}={named.path}", "a level after NAME=: an archive has its file's name")
     if not levels and settings.levels is None:
         levels = [LevelSource(path=path) for path in bundled_levels()]
     drawn = [each for each in levels if each not in archives]

@@ -315,8 +315,8 @@ def test_a_snapshot_that_takes_too_long(serve_with):
     check_problem(client.get("/levels/hills/snapshot.png"), 504, "render_timeout", None)
 
 
-def test_a_full_queue_refuses_and_a_client_that_goes_away_leaves_it(serve_with):
-    client = serve_with(fake_workers.never_ready, queue_length=1)
+def test_a_second_snapshot_is_refused_until_its_client_leaves(serve_with):
+    client = serve_with(fake_workers.never_ready, queue_work_s=0.1)
     pool = client.service.pool
     with socket.create_connection((client.base_url.host, client.base_url.port)) as gone:
         gone.sendall(b"GET /levels/hills/snapshot.png HTTP/1.1\r\nHost: x\r\n\r\n")

@@ -1,14 +1,17 @@
 """One level that cannot be read in time keeps nobody waiting for another one, nor for what is kept of itself."""
 
 import asyncio
+import errno
 import json
 import os
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from api.http import level_checks
+from api.http import level_checks, routes_wms
 from api.http.app import create_app
 from api.http.level_checks import LevelCheck
 from api.settings import Settings
@@ -93,6 +96,71 @@ def test_a_look_that_never_comes_back_is_left_to_itself(monkeypatch: pytest.Monk
         looks.go.set()
 
     asyncio.run(scenario())
+
+
+@contextmanager
+def no_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A machine on which no thread can be started, as at its limit of processes."""
+
+    def start(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", start)
+        yield
+
+
+def test_moments_without_a_thread_cost_no_later_look(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
+    """Each of them once lost one of a few looks for ever."""
+    monkeypatch.setattr(level_checks, "LOOK_AGAIN_S", 0.0)
+
+    async def scenario() -> None:
+        looks = Looks()
+        looks.go.set()
+        level = check(looks, wait_s=30.0)
+        for _ in range(2 * level_checks.MOST_LOST):
+            with no_threads(monkeypatch):
+                assert await asyncio.wait_for(level.current(), 1.0) == "old"
+        assert await level.current() == "new"
+
+    asyncio.run(scenario())
+    assert caplog.text.count("cannot be looked at") == 1, "it is told once"
+
+
+def test_a_look_without_descriptors_says_nothing_of_the_files():
+    async def scenario() -> None:
+        looks = Looks(OSError(errno.EMFILE, "Too many open files"))
+        looks.go.set()
+        level = check(looks, wait_s=30.0)
+        assert await level.current() == "old"
+        looks.outcome = "new"
+        assert await level.current() == "new"
+
+    asyncio.run(scenario())
+
+
+def test_requests_of_a_moment_without_threads_are_told_to_come_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The level is served as it was; what needs a thread comes again, and has it then."""
+    path = write_level(tmp_path, "hills")
+    with running(create_app(Settings(workers=1, level_check_s=0), [path], fake_workers.obedient)) as client:
+        client.get(tile("hills"))
+        before = client.get("/levels/hills").json()
+        level = json.loads(path.read_text())
+        path.write_text(json.dumps({**level, "title": "Other hills"}), encoding="utf-8")
+        with no_threads(monkeypatch):
+            assert client.get("/levels/hills").json() == before
+            monkeypatch.setattr(routes_wms, "run_in_threadpool", _without_a_thread)
+            told = client.get("/wms?REQUEST=GetCapabilities")
+        assert (told.status_code, told.headers["Retry-After"], told.headers["Content-Type"]) == (
+            503,
+            "5",
+            "application/problem+json",
+        )
+        assert client.get("/levels/hills").json()["title"] == "Other hills"
+
+
+async def _without_a_thread(function: object, *args: object) -> None:
+    raise RuntimeError("can't start new thread")
 
 
 def tile(level: str) -> str:

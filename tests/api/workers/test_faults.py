@@ -29,7 +29,7 @@ def gated(serve_with) -> tuple[Client, Callable[[], None], Callable[[], None]]:
     """A client whose service may wait for one more block; to wait until a block has begun; to let one go on."""
     spawn = get_context("spawn")
     begun, go = spawn.Semaphore(0), spawn.Semaphore(0)
-    client = serve_with(functools.partial(fake_workers.obedient, begun=begun, go=go), queue_length=1)
+    client = serve_with(functools.partial(fake_workers.obedient, begun=begun, go=go), queue_length=1, queue_work_s=0.1)
 
     def wait() -> None:
         assert begun.acquire(timeout=SOON_S)

@@ -43,7 +43,7 @@ def frame(number: int = 0, before: CarriedPlans | None = None) -> FrameJob:
 
 
 def pending(job: Any, came_s: float) -> PendingJob:
-    return PendingJob(job, None, came_s, stands_back=isinstance(job, FrameJob))  # type: ignore[arg-type]
+    return PendingJob(job, None, came_s, is_background=isinstance(job, FrameJob))  # type: ignore[arg-type]
 
 
 def test_whoever_asks_for_a_picture_goes_before_a_frame_that_came_earlier():
@@ -81,11 +81,8 @@ def test_frames_leave_one_process_to_others_however_fast_they_are():
 def test_frames_that_wait_keep_nobody_out():
     queue = JobQueue(1, ExpectedTimes())
     queue.put(pending(frame(), 0.0))
-    assert (len(queue), len(queue.asked_for), queue.drained_s()) == (1, 0, 0.0)
-    assert queue.wait_s(block(1), 5.0) == 0.0
-    assert queue.longest_wait_s(block(1), 100.0, 20.0) == 20.0, "it is no load that stands"
-    queue.put(pending(block(1), 100.0))
-    assert queue.longest_wait_s(block(2), 101.0, 20.0) == 20.0, "which begins with the first picture that waits"
+    assert (len(queue), len(queue.pictures)) == (1, 0)
+    assert queue.wait_s(block(1), "", 5.0) == 0.0
 
 
 class FilmGate:
@@ -122,13 +119,13 @@ def test_pictures_pass_frames_and_a_full_queue_takes_them():
             await until(lambda: pool.queued == 2)
             tasks.create_task(run("tile", block(1)))
             await until(lambda: pool.queued == 3)
-            with pytest.raises(LaterError, match="1 pictures are waiting"):
+            with pytest.raises(LaterError, match="1 of this client's pictures wait"):
                 await pool.run(block(2))
             gate.open(4)
         assert ended == ["running", "tile", "frame", "frame"]
         assert pool.tally.refused == 1
 
-    with_pool(scenario, gate.target, queue_length=1)
+    with_pool(scenario, gate.target, queue_length=1, queue_work_s=0.1)
 
 
 def test_frames_wait_for_as_long_as_need_be():

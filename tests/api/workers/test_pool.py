@@ -198,21 +198,42 @@ def test_finished_blocks_are_kept_within_their_bytes():
     with_pool(scenario, block_cache_bytes=100)  # the tiles of a block take 64
 
 
-def test_a_full_queue_refuses():
+def test_a_client_with_too_much_in_the_queue_is_refused_alone():
     gate = Gate()
 
     async def scenario(pool: Pool) -> None:
         begun = asyncio.create_task(pool.run(order("first")))
         await gate.begun()
-        queued = [asyncio.create_task(pool.run(order(f"queued {n}"))) for n in range(2)]
+        queued = [asyncio.create_task(pool.run(order(f"queued {n}"), "one")) for n in range(2)]
         await until(lambda: pool.queued == 2)
-        with pytest.raises(BusyError):
-            await pool.run(order("too many"))
-        again = asyncio.create_task(pool.run(order("queued 1")))  # no new job, so there is room
-        gate.open(3)
-        await asyncio.gather(begun, again, *queued)
+        with pytest.raises(BusyError, match="2 of this client's pictures wait"):
+            await pool.run(order("too many"), "one")
+        again = asyncio.create_task(pool.run(order("queued 1"), "one"))  # no new job, so there is room
+        other = asyncio.create_task(pool.run(order("too many"), "other"))
+        gate.open(4)
+        await asyncio.gather(begun, again, other, *queued)
 
-    with_pool(scenario, gate.target, queue_length=2)
+    with_pool(scenario, gate.target, queue_work_s=1.2)  # a plan is expected to take 0.5 s
+
+
+def test_a_job_is_paid_for_by_who_waits_for_it():
+    gate = Gate()
+
+    async def scenario(pool: Pool) -> None:
+        begun = asyncio.create_task(pool.run(order("first")))
+        await gate.begun()
+        leaves = asyncio.create_task(pool.run(order("second"), "one"))
+        await until(lambda: pool.queued == 1)
+        stays = asyncio.create_task(pool.run(order("second"), "other"))
+        await until(lambda: len(pool._queue.waiting[order("second")].clients) == 2)
+        assert len(pool._queue.of_client("one")) == 1
+        leaves.cancel()
+        await until(lambda: not pool._queue.of_client("one"))
+        assert len(pool._queue.of_client("other")) == 1 and pool.tally.abandoned == 0
+        gate.open(2)
+        await asyncio.gather(begun, stays)
+
+    with_pool(scenario, gate.target)
 
 
 def test_one_who_goes_does_not_take_the_answer_from_others():

@@ -1,4 +1,4 @@
-"""Names of clocks: what is understood, what is answered with the nearest spelling, days that a calendar leaves out, and the clock of a place."""
+"""Names of clocks: what is understood, and the nearest spelling of what is not; days that a calendar leaves out; places' clocks."""
 
 from __future__ import annotations
 

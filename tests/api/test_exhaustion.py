@@ -1,0 +1,173 @@
+"""A machine without threads, descriptors or memory: what failed is not done later, and nothing is lost."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import inspect
+import os
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from fastapi.dependencies.models import Dependant
+from fastapi.routing import APIRoute
+
+from api.animations.animations import Animations
+from api.errors import ExhaustedError, outcome_of
+from api.exhaustion import exhausted_error, in_thread
+from api.settings import Settings
+from api.workers import background_compile
+from api.workers.background_compile import BackgroundCompile
+from api.workers.idle_work import IdleJob, IdleWork
+from api.workers.pool import Pool
+from terrain.errors import SourceError
+from tests.api.animations.test_animations import order as film_order
+from tests.api.http.test_level_checks import no_threads
+from tests.api.http.test_openapi import ROUTERS
+from tests.api.workers.test_pool import block, until, with_pool
+
+
+def _caused_by(cause: Exception) -> Exception:
+    try:
+        try:
+            raise cause
+        except Exception:
+            raise SourceError("dem.tif", "unreadable", "a raster") from None
+    except SourceError as error:
+        return error
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        RuntimeError("can't start new thread"),
+        MemoryError(),
+        OSError(errno.EMFILE, "Too many open files"),
+        BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"),
+        _caused_by(OSError(errno.ENOMEM, "Cannot allocate memory")),
+    ],
+)
+def test_errors_of_a_machine_that_has_nothing_left(error: Exception):
+    found = exhausted_error(error)
+    assert found is not None
+    assert (outcome_of(found).status, outcome_of(found).retry_after_s) == (503, 5)
+
+
+@pytest.mark.parametrize(
+    "error", [RuntimeError("no running event loop"), OSError(errno.ENOENT, "No such file"), _caused_by(ValueError("a bug"))]
+)
+def test_other_errors_are_none_of_the_machine(error: Exception):
+    assert exhausted_error(error) is None
+
+
+def test_no_route_needs_a_thread_before_it_begins():
+    """The framework calls plain functions in threads: then a machine without any would not even be told that the service lives."""
+
+    def parts(dependant: Dependant) -> Iterator[object]:
+        yield dependant.call
+        for each in dependant.dependencies:
+            yield from parts(each)
+
+    routes = [route for router in ROUTERS for route in router.routes if isinstance(route, APIRoute)]
+    assert {"/healthz", "/readyz"} <= {route.path for route in routes}
+    found = {part for route in routes for part in parts(route.dependant)}
+    assert not [part for part in found if not inspect.iscoroutinefunction(part)]
+
+
+def test_what_no_thread_could_be_started_for_is_never_run(monkeypatch: pytest.MonkeyPatch):
+    """An executor has it in its queue all the same."""
+    ran: list[str] = []
+
+    async def scenario() -> None:
+        with ThreadPoolExecutor(1) as threads:
+            with no_threads(monkeypatch), pytest.raises(ExhaustedError):
+                in_thread(threads, ran.append, "dropped")
+            await in_thread(threads, ran.append, "run")
+
+    asyncio.run(scenario())
+    assert ran == ["run"]
+
+
+def test_a_process_that_there_is_no_thread_to_ask_in_is_kept(monkeypatch: pytest.MonkeyPatch):
+    async def scenario(pool: Pool) -> None:
+        await until(lambda: pool.ready)
+        pids = set(pool.pids)
+        pool._threads.shutdown(wait=False)
+        with monkeypatch.context() as patch:
+            patch.setattr(pool, "_threads", ThreadPoolExecutor(2))
+            for worker in pool._workers:
+                patch.setattr(worker, "_threads", pool._threads)
+            for number in range(3):
+                with no_threads(monkeypatch), pytest.raises(ExhaustedError):
+                    await pool.run(block(number))
+            assert (await pool.run(block(0))).tiles
+        assert pool.pids == pids and pool.tally.started == 1
+
+    with_pool(scenario)
+
+
+def test_idle_work_that_cannot_begin_leaves_nothing_open(monkeypatch: pytest.MonkeyPatch):
+    async def scenario() -> None:
+        failed: list[str] = []
+
+        async def done(result: object) -> None:
+            raise AssertionError(result)
+
+        work = IdleWork(lambda: False)
+        monkeypatch.setattr(work, "_idle", lambda: True)
+        work.open()
+        before = len(os.listdir("/proc/self/fd"))
+        with no_threads(monkeypatch):
+            for _ in range(5):
+                work.add(IdleJob(os.getpid, (), done, failed.append))
+            await until(lambda: len(failed) == 5)
+        assert "no thread can be started" in failed[0]
+        assert len(os.listdir("/proc/self/fd")) == before
+        await work.close()
+
+    asyncio.run(scenario())
+
+
+def test_loops_are_compiled_later_where_that_failed(monkeypatch: pytest.MonkeyPatch):
+    compiled = threading.Event()
+    monkeypatch.setattr(background_compile, "compile_ahead", lambda *asked, **more: compiled.set())
+
+    async def scenario() -> None:
+        compiling = BackgroundCompile(1, lambda preparing: None)
+        with no_threads(monkeypatch):
+            compiling.begin(7)
+            await until(lambda: not compiling.is_running)
+        compiling.begin(7)
+        assert not compiling.is_running, "not at once"
+        monkeypatch.setattr(compiling, "_not_before_s", 0.0)
+        compiling.begin(7)
+        await until(lambda: not compiling.is_running)
+        assert compiled.is_set()
+        compiling.begin(7)
+        assert not compiling.is_running, "once done it is done"
+        await compiling.close()
+
+    asyncio.run(scenario())
+
+
+def test_a_film_that_no_thread_could_write_is_not_drawn_later(monkeypatch: pytest.MonkeyPatch):
+    drawn: list[int] = []
+
+    async def draw(asked: object):
+        drawn.append(1)
+        yield None
+
+    async def scenario() -> None:
+        animations = Animations(Settings(), draw, lambda path, frames, asked: path.write_bytes(bytes(len(list(frames)))))
+        with no_threads(monkeypatch):
+            first = animations.ask(film_order(1), 1.0)
+            await until(lambda: first.ended)
+        assert isinstance(first.error, ExhaustedError) and not drawn
+        second = animations.ask(film_order(2), 1.0)
+        await until(lambda: second.ended)
+        assert second.status == "successful" and len(drawn) == 1
+        await animations.close()
+
+    asyncio.run(scenario())

@@ -1,0 +1,57 @@
+"""What a picture is expected to cost: told, with the key that makes it cheap, and bounded alike in commands and the service."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from api.cli import snapshot as snapshot_module
+from api.errors import TooCostlyError
+from api.picture_cost import check_cost, remedy, soft_lamps
+from api.report.plan_text import format_expectation
+from shadows.plan import Plan, Predicted
+from terrain.scene import Scene
+from tests.render import plan_of
+from tests.shadows.test_area_light import LAMPS, figure
+
+
+@pytest.fixture
+def lit(tmp_path: Path) -> tuple[Scene, Plan]:
+    """A scene in whose view a lamp is shown as a ball, and a plan that is expected to take 65 s."""
+    scene = figure(tmp_path, lights={"spot": LAMPS["spot"]}, sun="none")
+    plan = plan_of(scene, scene.view("eye"), algorithm="shadow_map")
+    return scene, plan.model_copy(update={"predicted": Predicted(ms=65_000.0, wrong=0.01, wrong_cast=0.01)})
+
+
+def test_a_plan_that_takes_long_names_the_key_that_makes_it_cheap(lit: tuple[Scene, Plan]):
+    _, plan = lit
+    points = soft_lamps(plan)["spot"]
+    assert points > 1
+    assert remedy(plan) == f"lights.spot.radius: 0 makes shadows hard, which are drawn from 1 point of a lamp and not {points}"
+    assert "For less time, lights.spot.radius: 0" in format_expectation(plan)
+    quick = plan.model_copy(update={"predicted": Predicted(ms=100.0, wrong=0.01, wrong_cast=0.01)})
+    assert "For less time" not in format_expectation(quick)
+
+
+def test_beyond_the_bound_it_is_refused(lit: tuple[Scene, Plan]):
+    _, plan = lit
+    with pytest.raises(TooCostlyError, match=r"a block .* expected to take 65 s.*at most 60 s \(SETTING\); lights.spot.radius: 0"):
+        check_cost(plan, "a block", 60_000.0, "SETTING")
+    check_cost(plan, "a block", 70_000.0, "SETTING")
+    check_cost(plan, "a block", None, "SETTING")
+    check_cost(plan.model_copy(update={"predicted": None}), "a block", 60_000.0, "SETTING")
+
+
+def test_a_command_refuses_what_a_service_does_unless_told(lit: tuple[Scene, Plan], monkeypatch: pytest.MonkeyPatch):
+    scene, plan = lit
+    monkeypatch.setattr(snapshot_module, "scene_and_view", lambda *asked: (scene, scene.view("eye")))
+    monkeypatch.setattr(snapshot_module, "plan_of_view", lambda *asked, **more: plan)
+    monkeypatch.setattr(snapshot_module, "calibration_for", lambda *asked: None)
+    monkeypatch.setattr(snapshot_module, "render_frame", lambda *asked: "drawn")
+    path = scene.loaded.path
+    with pytest.raises(TooCostlyError, match=r"the view .* at most 60 s \(--max-ms\)"):
+        snapshot_module.snapshot(path, "eye", None, {})
+    assert snapshot_module.snapshot(path, "eye", None, {}, max_ms=70_000.0)[1] == "drawn"
+    monkeypatch.setenv("SKUGGA_RENDER_TIMEOUT_S", "70")
+    assert snapshot_module.snapshot(path, "eye", None, {})[1] == "drawn"

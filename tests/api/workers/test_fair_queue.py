@@ -1,0 +1,192 @@
+"""Many clients before one queue, in a time of its own: whom it serves, whom it refuses, and what it says of the wait."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from api.errors import LaterError
+from api.settings import Settings
+from api.workers.admission import check_admission, is_tile, retry_after_s
+from api.workers.job_queue import JobQueue, PendingJob
+from api.workers.jobs import BlockJob, Job, MapJob, PlanJob, SnapshotJob
+from tests.api.workers.test_pool import LEVEL, block
+
+SETTINGS = Settings(workers=1, queue_timeout_s=20.0)
+SCREEN = SETTINGS.queue_length
+
+
+def snapshot(number: int) -> SnapshotJob:
+    return SnapshotJob(level=LEVEL, view="map", layer="color", format="png", size=(640 + number, 480))
+
+
+def pending(job: Job, client: str, came_s: float = 0.0) -> PendingJob:
+    return PendingJob(job, None, came_s, clients=Counter([client]))  # type: ignore[arg-type]
+
+
+@dataclass
+class Crowd:
+    """Clients that ask one process for jobs, some at a time. ``takes`` says how long a job takes.
+
+    A client asks again as soon as it has an answer, and does not ask again for what was refused: as map clients do.
+    """
+
+    takes: Callable[[Job], float]
+    queue: JobQueue = field(default_factory=lambda: JobQueue(1))
+    answered: Counter[str] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
+    expired: Counter[str] = field(default_factory=Counter)
+    spent_s: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    waited_s: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+
+    def run(self, clients: dict[str, tuple[int, list[Job]]], until_s: float = 1e9) -> Crowd:
+        left = {client: list(jobs) for client, (_, jobs) in clients.items()}
+        events: list[tuple[float, int, str, Any]] = []
+        running: PendingJob | None = None
+        number = 0
+
+        def later(at_s: float, what: str, of: Any) -> None:
+            nonlocal number
+            number += 1
+            heapq.heappush(events, (at_s, number, what, of))
+
+        for client, (at_a_time, _) in clients.items():
+            for _ in range(at_a_time):
+                later(0.0, "ask", client)
+        while events and events[0][0] < until_s:
+            now_s, _, what, of = heapq.heappop(events)
+            if what == "ask" and left[of]:
+                job = left[of].pop(0)
+                try:
+                    check_admission(self.queue, job, of, now_s, SETTINGS)
+                    each = pending(job, of, now_s)
+                    self.queue.put(each)
+                    later(now_s + SETTINGS.queue_timeout_s, "expire", each)
+                except LaterError:
+                    self.refused[of] += 1
+                    later(now_s + 1.0, "ask", of)
+            elif what == "expire" and self.queue.waiting.get(of.job) is of:
+                self.queue.discard(of)
+                self.expired[of.client] += 1
+                later(now_s, "ask", of.client)
+            elif what == "done":
+                running = None
+                self.queue.discard(of)
+                self.queue.learn(of.job, self.takes(of.job))
+                self.answered[of.client] += 1
+                self.spent_s[of.client] += self.takes(of.job)
+                later(now_s, "ask", of.client)
+            if running is None and (running := self.queue.take(now_s)) is not None:
+                self.waited_s[running.client].append(now_s - running.came_s)
+                later(now_s + self.takes(running.job), "done", running)
+        return self
+
+
+def blocks_of(client: int, count: int = 115) -> list[Job]:
+    """Blocks of a level of its own."""
+    level = LEVEL.model_copy(update={"path": LEVEL.path.with_name(f"{client}.yaml")})
+    return [block(number).model_copy(update={"level": level}) for number in range(count)]
+
+
+def test_nothing_of_one_client_is_refused_that_looks_at_a_cold_level():
+    """Eight requests at a time, 115 tiles: the first ones take long. So did a wooded level, all the time."""
+    for seconds in (lambda job: 1.5 if job.block_x < 8 else 0.2, lambda job: 2.0):
+        crowd = Crowd(seconds).run({"one": (8, blocks_of(0))})
+        assert crowd.answered["one"] == 115 and not crowd.refused and not crowd.expired
+
+
+def test_a_screenful_at_once_is_let_in():
+    crowd = Crowd(lambda job: 0.3).run({"one": (SCREEN, blocks_of(0, SCREEN))})
+    assert crowd.answered["one"] == SCREEN and not crowd.refused
+
+
+def test_eight_clients_get_the_same_and_nothing_is_refused():
+    crowd = Crowd(lambda job: 0.2).run({f"client {n}": (8, blocks_of(n)) for n in range(8)}, until_s=60.0)
+    assert not crowd.refused and not crowd.expired
+    assert max(crowd.spent_s.values()) - min(crowd.spent_s.values()) < 1.0, crowd.spent_s
+
+
+def test_a_greedy_client_takes_nothing_from_normal_ones():
+    """It asks for 300 pictures at a time, of which each takes ten times as long as a tile."""
+    jobs = {f"normal {n}": (6, blocks_of(n, 1000)) for n in range(7)}
+    odd: list[Job] = [each for n in range(10_000) for each in (snapshot(n), block(n))]
+    takes = lambda job: 0.1 if job.level != LEVEL else 1.0  # noqa: E731
+    crowd = Crowd(takes).run({**jobs, "greedy": (300, odd)}, until_s=40.0)
+    assert not [name for name in jobs if crowd.refused[name] or crowd.expired[name]]
+    assert crowd.refused["greedy"] > 0, "what it asks for beyond its share is refused"
+    normal_s = [crowd.spent_s[name] for name in jobs]
+    assert min(normal_s) > 0.9 * 40.0 / 8 and crowd.spent_s["greedy"] < 1.2 * 40.0 / 8, crowd.spent_s
+    waited_s = sorted(wait for name in jobs for wait in crowd.waited_s[name])
+    assert waited_s[-1] < 7.0, "six tiles of 0.1 s at an eighth of the time take 4.8 s, and a greedy picture 1 s"
+
+
+def test_work_of_one_client_is_bounded_in_seconds_not_in_requests():
+    queue = JobQueue(1)
+    for n in range(100):
+        queue.learn(snapshot(n), 0.01)
+    for n in range(100):
+        check_admission(queue, snapshot(n), "one", 0.0, SETTINGS)
+        queue.put(pending(snapshot(n), "one"))
+    heavy = PlanJob(level=LEVEL, view="map")
+    queue.learn(heavy, 30.0)
+    with pytest.raises(LaterError, match="this one would take 30.0 s") as told:
+        check_admission(queue, heavy, "one", 0.0, SETTINGS)
+    assert told.value.retry_after_s == 1
+    check_admission(queue, heavy, "other", 0.0, SETTINGS)
+
+
+def test_a_screenful_is_let_in_however_long_it_takes():
+    queue = JobQueue(1)
+    queue.learn(block(0), 5.0)
+    for n in range(SCREEN):
+        check_admission(queue, block(n), "one", 0.0, SETTINGS)
+        queue.put(pending(block(n), "one"))
+    with pytest.raises(LaterError) as told:
+        check_admission(queue, block(SCREEN), "one", 0.0, SETTINGS)
+    assert told.value.retry_after_s == 120
+    check_admission(queue, block(SCREEN), "other", 0.0, SETTINGS)
+
+
+@pytest.mark.parametrize(("side", "is_one"), [(256, True), (1024, True), (1025, False)])
+def test_maps_of_clients_that_tile_are_tiles(side: int, is_one: bool):
+    job = MapJob(level=LEVEL, bounds=(0.0, 0.0, 1.0, 1.0), crs="EPSG:4326", size=(side, 256), layer="color", format="png")
+    assert is_tile(job) == is_one
+    assert is_tile(block(0)) and not is_tile(snapshot(0))
+
+
+def test_the_wait_is_expected_by_what_a_client_has_and_what_others_share():
+    queue = JobQueue(1)
+    queue.learn(block(0), 1.0)
+    for n in range(10):
+        queue.put(pending(block(n), "greedy"))
+    assert queue.wait_s(block(99), "greedy", 0.0) == pytest.approx(10.0)
+    assert queue.wait_s(block(99), "new", 0.0) == pytest.approx(1.0), "the greedy one has as much before it, and no more"
+
+
+def test_what_waits_is_expected_to_take_what_its_kind_took():
+    queue = JobQueue(1)
+    for n in range(2):
+        queue.put(pending(block(n), "one"))
+    assert queue.wait_s(block(9), "one", 0.0) == pytest.approx(1.0), "two first guesses"
+    queue.learn(block(0), 4.0)
+    assert queue.wait_s(block(9), "one", 0.0) == pytest.approx(8.0)
+
+
+def test_a_layer_that_takes_longer_is_known_by_itself():
+    queue = JobQueue(1)
+    mask = BlockJob(
+        **{**block(0).model_dump(exclude={"level", "request"}), "level": LEVEL, "layer": "mask", "format": "tif", "tiles": 2}
+    )
+    queue.learn(block(0), 0.1)
+    assert queue.expected.of(mask) == pytest.approx(0.1), "as its kind"
+    queue.learn(mask, 3.0)
+    assert (queue.expected.of(mask), queue.expected.of(block(0))) == pytest.approx((3.0, 0.1))
+
+
+def test_when_to_come_back_is_a_whole_number_within_two_minutes():
+    assert [retry_after_s(each) for each in (0.0, 0.2, 7.1, 1e9)] == [1, 1, 8, 120]

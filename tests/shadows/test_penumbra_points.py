@@ -1,0 +1,61 @@
+"""How many points of a lamp's ball are drawn: as many as its penumbrae have pixels for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from shadows import algorithm, penumbra
+from shadows.algorithm import is_area
+from shadows.penumbra import MAX_POINTS, light_points, penumbra_px
+from terrain.describe import describe
+from terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting, LampFacts, LightFacts
+from terrain.level.level import Shadows
+from tests.render import plan_of
+from tests.shadows.test_area_light import LAMPS, MOST_SOFT_ERROR, figure, seen
+
+SIDE_M = 28.0
+
+
+def described(scene, view, radius_m: float, light_m: float, thrown_m: float | None, pixel_m: float):
+    """A perspective view of which it is known how far the lamp is and how far shadows are thrown."""
+    band = CastBand(near_m=1.0, share=0.5, cast=0.5, pixel_m=pixel_m, light_m=light_m, differs=(0.0,) * len(TEXEL_LADDER_PX))
+    lamp = LampFacts(name="spot", kind="spot", cutoff_deg=40, reference_m=15, radius_m=radius_m)
+    lit = LightFacts(casts={"meshes": Casting(share=0.2, bands=(band,), thrown_m=thrown_m)})
+    return describe(scene, view, "eye").model_copy(update={"lamps": (lamp,), "lights": {"spot": lit}})
+
+
+def test_a_penumbra_is_as_wide_as_a_ball_seen_past_an_edge(tmp_path):
+    """2 R t / (d - t), of casters that are twice as far away as the median."""
+    scene = figure(tmp_path, lights={"spot": LAMPS["spot"]})
+    view = scene.view("eye")
+    assert penumbra_px(described(scene, view, 0.2, 20.0, 5.0, 0.1), "spot") == pytest.approx(2 * 0.2 * 10 / 10 / 0.1)
+    assert penumbra_px(described(scene, view, 0.2, 20.0, 0.0, 0.1), "spot") == 0.0, "a shadow at the foot of its caster"
+    assert penumbra_px(described(scene, view, 0.2, 20.0, None, 0.1), "spot") == pytest.approx(2 * 0.2 * 4 / 0.1)
+    assert light_points(described(scene, view, 0.2, 20.0, 5.0, 0.1), "spot") == 16
+    assert light_points(described(scene, view, 0.2, 20.0, 5.0, 0.01), "spot") == MAX_POINTS
+    far = described(scene, view, 0.2, 20.0, 5.0, 30.0)
+    assert light_points(far, "spot") == 1
+    assert not is_area(far, "spot", Shadows()) and is_area(far, "spot", Shadows(filter="sun"))
+
+
+@pytest.mark.parametrize(("pixels", "points"), [(8, 5), (12, 7)])
+def test_fewer_points_show_what_all_of_them_do(gl, tmp_path, monkeypatch, pixels, points):
+    """In maps of pixels of 3.5 and 2.3 m under a lamp whose penumbrae are up to 4 m wide."""
+    scene = figure(tmp_path, lights={"spot": LAMPS["spot"]}, sun="none")
+    view = scene.view(bounds=(-SIDE_M / 2, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2), size=(pixels, pixels))
+    few = seen(scene, view, "spot", algorithm="shadow_map", map_size=512)
+    assert light_points(describe(scene, view, "map"), "spot") == points
+    for module in (algorithm, penumbra):
+        monkeypatch.setattr(module, "light_points", lambda descriptor, light: MAX_POINTS)
+    many = seen(scene, view, "spot", algorithm="shadow_map", map_size=512)
+    assert np.nanmean(np.abs(few - many)) <= MOST_SOFT_ERROR
+
+
+def test_a_lamp_that_no_pixel_shows_as_a_ball_costs_one_map(gl, tmp_path):
+    scene = figure(tmp_path, lights={"spot": LAMPS["spot"] | {"radius": 0.2}})
+    view = scene.view(bounds=(-SIDE_M / 2, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2), size=(4, 4))
+    plan = plan_of(scene, view, algorithm={"sun": "shadow_volume", "spot": "shadow_map"})
+    assert plan.settings["spot"]["meshes"].filter == 3
+    reasons = {reason.name: reason.reason for reason in plan.reasons}
+    assert "narrower than a pixel" in reasons["spot: filter 3"]
