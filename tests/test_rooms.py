@@ -56,9 +56,10 @@ MAY_IMPORT = {
     "shadows.layer_collector": "passes",
     "shadows.executed_effects": "passes",
     "shadows.bent_rays": "",
-    "shadows.algorithm": "bent_rays passes work",
+    "shadows.penumbra": "",
+    "shadows.algorithm": "bent_rays passes penumbra work",
     "shadows.area_light": "algorithm attached passes work",
-    "shadows.maps": "algorithm area_light attached passes work",
+    "shadows.maps": "algorithm area_light attached passes penumbra work",
     "shadows.volumes": "algorithm area_light attached passes work",
     "shadows.hybrid": "algorithm attached layer_collector maps passes volumes work",
     "shadows.none": "algorithm",
@@ -104,8 +105,8 @@ MAY_IMPORT = {
     "api.settings": "",
     "api.shadow_parameters": "",
     "api.catalogue": "",
-    "api.level_summary": "",
-    "api.report": "",
+    "api.level_summary": "device_calibration picture_cost",
+    "api.report": "picture_cost",
     "api.point": "",
     "api.raster_file": "",
     "api.overviews": "raster_file",
@@ -123,18 +124,20 @@ MAY_IMPORT = {
     "api.device_calibration": "report",
     "api.map_probing": "",
     "api.file_stamps": "",
-    "api.workers": "device_calibration errors layers map_probing point settings sun_hours_layer",
+    "api.exhaustion": "errors",
+    "api.picture_cost": "errors",
+    "api.workers": "device_calibration errors exhaustion layers map_probing picture_cost point settings sun_hours_layer",
     "api.library": "catalogue device_calibration film_span layers point raster_file shade shade_layers sun_hours",
-    "api.animations": "errors film_files settings workers",
+    "api.animations": "errors exhaustion film_files settings workers",
     "api.matrices": "errors workers",
     "api.seed": "catalogue device_calibration errors file_stamps layers matrices settings workers",
     "api.http": (
-        "animations color_scale errors file_stamps film_span layers matrices point settings shadow_parameters sun_hours_layer "
-        "workers"
+        "animations color_scale errors exhaustion file_stamps film_span layers matrices point settings shadow_parameters "
+        "sun_hours_layer workers"
     ),
     "api.cli": (
-        "catalogue device_calibration errors file_stamps film_files film_span http layers level_summary map_probing "
-        "matrices overviews point raster_file report seed settings shade shade_layers shadow_parameters stac_item sun_hours "
+        "catalogue device_calibration errors file_stamps film_files film_span http layers level_summary map_probing matrices "
+        "overviews picture_cost point raster_file report seed settings shade shade_layers shadow_parameters stac_item sun_hours "
         "sun_quantities workers"
     ),
 }

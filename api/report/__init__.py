@@ -1,4 +1,4 @@
 """Figures in words and pages: a plan in words, a comparison's summary, table and self-contained HTML report.
 
-May import: no other room.
+May import: picture_cost.
 """

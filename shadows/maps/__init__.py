@@ -1,4 +1,4 @@
 """Depth maps: `shadow_map` and `perspective_shadow_map`; where their maps lie, how they are drawn and looked up.
 
-May import: algorithm, area_light, attached, passes, work.
+May import: algorithm, area_light, attached, passes, penumbra, work.
 """
