@@ -188,7 +188,8 @@ def _compile_until_closed(pipe: Connection, tasks: Sequence[Task], foreign: Sequ
         try:
             loop.compile(args)
         except Exception as error:  # numba raises many kinds; a list that is behind: the loop takes other arguments now
-            print(f"skugga: {loop.py_func.__module__}.{loop.py_func.__name__} is not compiled ahead: {error}", file=sys.stderr)
+            why = str(error).partition("\n")[0]
+            print(f"skugga: {loop.py_func.__module__}.{loop.py_func.__name__} is not compiled ahead: {why}", file=sys.stderr)
         try:
             pipe.send(number)
         except OSError:  # whoever waited was killed
