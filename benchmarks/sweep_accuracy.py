@@ -90,14 +90,15 @@ class SweepFigures:
 
 
 class GridRays:
-    """Rays through the triangles of a heightfield (rows, cols), quads cut along the higher and along the lower diagonal."""
+    """Rays through the triangles of a heightfield (rows, cols), quads cut along the higher and along the lower diagonal. The
+    outermost heights go on for a cell, as in ``sunlit``.
+    """
 
     def __init__(self, height_m: np.ndarray, cell_m: tuple[float, float]) -> None:
-        rows, cols = height_m.shape
-        nodes = np.empty((rows, cols, 3))
-        nodes[..., 0], nodes[..., 1] = np.arange(cols) * cell_m[1], -np.arange(rows)[:, None] * cell_m[0]
-        nodes[..., 2] = height_m
-        self._nodes = nodes.reshape(-1, 3)
+        around = np.pad(height_m, 1, mode="edge")
+        row, col = np.indices(around.shape) - 1
+        nodes = np.stack([col * cell_m[1], -row * cell_m[0], around.astype(np.float64)], axis=-1)
+        self._nodes = nodes[1:-1, 1:-1].reshape(-1, 3)
         self._there = np.isfinite(height_m)
         sheet = sheet_of(nodes)
         self._drawn, self._other = RayScene([sheet]), RayScene([Sheet(nodes, ~sheet.falls)])
@@ -119,11 +120,7 @@ class GridRays:
         drawn = light | dark
         light[light] = self._sees(self._other, there[light], lower, 1.0)
         dark[dark] = ~self._sees(self._other, there[dark], higher, 4.0)
-        truth = GridTruth(*(self._grid(there, values) for values in (lit, drawn, light | dark)))
-        if azimuth_deg % 90.0 == 0.0:  # rays along the sheet's rim may pass beside it
-            for certain in (truth.drawn, truth.decidable):
-                certain[[0, -1]] = certain[:, [0, -1]] = False
-        return truth
+        return GridTruth(*(self._grid(there, values) for values in (lit, drawn, light | dark)))
 
     def _sees(self, rays: RayScene, nodes: np.ndarray, to_sun: np.ndarray, offsets: float) -> np.ndarray:
         seen = np.empty(len(nodes), bool)

@@ -14,6 +14,7 @@ from selector.measure.footprint import texel_footprint_px
 from selector.measure.view_truth import truth_of_view
 from selector.planner.planner import make_plan
 from shadows.attached import attached
+from shadows.ground_pictures import _ground_between_nodes
 from shadows.point.horizon import horizon_round, surroundings
 from shadows.point.place import place_at
 from shadows.render import render_frame
@@ -109,6 +110,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     nodes = MapView(block.view.grid, 0.0, 0.0, 1.0, 1.0, 32, 32)
     bare_nodes(scene, nodes, 1)
     bare_ground(scene, nodes, None)
+    _ground_between_nodes(scene, nodes.part(0, 0, 8, 8).shifted(0.25, 0.25), None)
     patch_ground(scene.world, scene.elevation, block.view.grid, [Patch(0, 0, 0)])
     rim_points(scene, nodes)
     point = place_at(scene, tuple(place(240, 200)))

@@ -245,6 +245,7 @@ def _hill(trial: Trial, place: Place, name: str) -> np.ndarray:
     across = (np.arange(place.cells) - place.cells // 2) / place.cells
     heights = (40.0 * np.exp(-8.0 * (across[:, None] ** 2 + across**2))).astype(np.float32)
     scene = trial.scene(_raster(trial, heights, place, name), (143.0, 27.0), name=name)
+    scene = scene.with_style("swiss", None)  # whose colours do not go by the latitude, in which the twin differs
     view = view_of(trial, scene, 96)
     if isinstance(view, PerspectiveView):
         view = view.part(30, 30, 36, 36)  # ground alone

@@ -193,6 +193,7 @@ TEMPORARY = {
     "api/raster_file.py": "inside of what replaces a file",
     "api/layers.py": "inside of what replaces a file",
     "api/film_files.py": "inside of what replaces files",
+    "api/animated_webp.py": "inside of what replaces files",
     "api/contour_lines.py": "inside of what replaces a file",
     "api/point/polar_picture.py": "into memory",
     "api/color_scale.py": "into memory",

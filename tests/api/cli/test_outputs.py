@@ -120,9 +120,10 @@ def test_a_full_disk_is_told_and_leaves_the_old_file(run, folder, full_disk, out
 
 @pytest.mark.parametrize("limit", [0, 700, 8000])
 def test_a_raster_on_a_full_disk_is_never_taken_for_written(run, folder, full_disk, limit):
-    assert run("shade", "dem.tif", "-o", "first.tif", "--layer", "cosi")[0] == 0  # loops are compiled, and kept, before
+    asked = ("shade", "dem.tif", "--layer", "cosi", "--azimuth", "225", "--altitude", "30", "-o")
+    assert run(*asked, "first.tif")[0] == 0  # loops are compiled, and kept, before
     with full_disk(limit):
-        status, _, err = run("shade", "dem.tif", "-o", "cosi.tif", "--layer", "cosi")
+        status, _, err = run(*asked, "cosi.tif")
     assert status == 1 and err.count("\n") == 1 and "cosi.tif" in err
     assert not (folder / "cosi.tif").exists() and not list(folder.glob(".*"))
 

@@ -76,5 +76,5 @@ def test_all_cells_missing_by_the_value_that_is_stated(run, wrong):
 
 def test_a_single_row_is_a_map(gl, run, wrong):
     write_geotiff(wrong / "row.tif", np.ones((1, 20), np.float32), "EPSG:32633", 500e3, 5200e3, 30.0)
-    assert run("shade", "row.tif", "-o", "mask.tif") == (0, "", "")
+    assert run("shade", "row.tif", "--azimuth", "225", "--altitude", "30", "-o", "mask.tif") == (0, "", "")
     assert "20 x 1 cells" in run("validate", "row.tif")[1]

@@ -23,7 +23,7 @@ from tests.api.conftest import running, write_level
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
 
-NO_OPTIONS = dict.fromkeys(("canopy", "buildings", "nodata", "units"))
+NO_OPTIONS = dict.fromkeys(("canopy", "buildings", "nodata", "units", "positive"))
 
 
 def test_redirects_lead_to_the_public_address(tmp_path: Path):

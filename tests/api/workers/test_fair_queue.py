@@ -120,7 +120,8 @@ def test_a_greedy_client_takes_nothing_from_normal_ones():
     assert not [name for name in jobs if crowd.refused[name] or crowd.expired[name]]
     assert crowd.refused["greedy"] > 0, "what it asks for beyond its share is refused"
     normal_s = [crowd.spent_s[name] for name in jobs]
-    assert min(normal_s) > 0.9 * 40.0 / 8 and crowd.spent_s["greedy"] < 1.2 * 40.0 / 8, crowd.spent_s
+    assert min(normal_s) > 0.9 * 40.0 / 8, crowd.spent_s
+    assert crowd.spent_s["greedy"] <= 40.0 / 8 + 1.0, "by deficits, a client is ahead of its share by one picture at most"
     waited_s = sorted(wait for name in jobs for wait in crowd.waited_s[name])
     assert waited_s[-1] < 7.0, "six tiles of 0.1 s at an eighth of the time take 4.8 s, and a greedy picture 1 s"
 
