@@ -92,6 +92,7 @@ def test_an_answer_that_nobody_reads_ends_its_connection(serve_with, open_socket
     client = serve_with(fake_workers.obedient, client_timeout_s=0.5)
     whole, asked = len(client.get("/openapi.json").content), 500
     one = open_sockets(client, b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * asked)
+    assert one.recv(1) == b"H", "the server has the connection; before that, its end is not to be waited for"
     while client.get("/healthz").status_code == 200 and _connections(client) > 1:
         time.sleep(0.05)
     assert 0 < _received(one) < whole * asked, "what the system's buffers held, and no more"
