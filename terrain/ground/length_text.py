@@ -7,8 +7,6 @@ import re
 from terrain.ground.vertical import unit_of_word
 from terrain.level.parts import METRES_PER_UNIT
 
-FOOT_MARKS = ("'", "\N{PRIME}", "\N{RIGHT SINGLE QUOTATION MARK}")
-
 INCH_M = 0.0254
 
 _NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[+-]?\d+)?"
@@ -18,7 +16,7 @@ _FEET_INCHES = re.compile(rf"(\d+)\s*(?:'|\u2032|ft)\s*({_NUMBER})\s*(?:\"|\u203
 
 def unit_m(word: str) -> float | None:
     """Return the metres of a unit; ``None`` for a word that is none."""
-    unit = "ft" if word.strip() in FOOT_MARKS else unit_of_word(word)
+    unit = unit_of_word(word)
     return None if unit is None else METRES_PER_UNIT[unit]
 
 

@@ -7,6 +7,7 @@ a depth grows downwards. What a level says goes before both, what a band says be
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import rasterio
@@ -37,6 +38,11 @@ UNIT_WORDS: dict[str, Units] = {word: unit for unit, words in _WORDS.items() for
 
 NO_UNIT_WORDS = ("", "1", "unknown", "undefined", "unspecified", "unitless", "none", "na")
 """What files say that state no unit."""
+
+FOOT_MARKS = ("'", "\N{PRIME}", "\N{RIGHT SINGLE QUOTATION MARK}")
+
+_PLACEHOLDERS = " \t-_./?*"
+"""Signs that stand for a unit which is not known."""
 
 _LEVEL_OF_REFERENCE = re.compile(r"\s*(\(.*\)|\[.*\]|a\.?m?\.?s\.?l\.?|above\b.*)\s*$", re.IGNORECASE)
 _SAME_UNIT = 1e-7
@@ -90,15 +96,34 @@ def vertical_axis(
 
     Raises ``SourceError`` for a band's unit that is not known.
     """
-    of_crs = _axis_of_crs(dataset)
+    try:
+        crs = None if dataset.crs is None else CRS.from_user_input(dataset.crs.to_wkt())
+    except (CRSError, RasterioError):  # refused by who needs the CRS
+        crs = None
+    return axis_of_band(source, dataset.units[0] or "", dataset.tags(1), crs, units, positive)
+
+
+def axis_of_band(
+    source: str,
+    unit_word: str,
+    tags: Mapping[str, object],
+    crs: CRS | None,
+    units: Units | None = None,
+    positive: Positive | None = None,
+) -> VerticalAxis:
+    """The axis of numbers by their unit in words, ``""`` for none, by what the CF conventions say of them, and by their CRS.
+
+    Raises ``SourceError`` for a unit that is not known.
+    """
+    of_crs = _axis_of_crs(crs)
     stated = None if units is None else (units, METRES_PER_UNIT[units], "by terrain.units")
-    band_unit = unit_of_band(source, dataset, of_crs.unit_name) if units is None else None
+    band_unit = _unit_of_band(source, unit_word, of_crs.unit_name) if units is None else None
     of_band = None if band_unit is None else (band_unit, METRES_PER_UNIT[band_unit], "by its band")
     by_crs = None if of_crs.unit_m is None else (_name_of(of_crs.unit_m), of_crs.unit_m, of_crs.by)
     name, unit_m, unit_from = stated or of_band or by_crs or ("m", 1.0, None)
     differs = of_band is not None and by_crs is not None and abs(by_crs[1] / unit_m - 1.0) > _SAME_UNIT
     directions: list[tuple[Positive | None, str | None]]
-    directions = [(positive, "by terrain.positive"), (_positive_of_band(dataset), "by its band"), (of_crs.positive, of_crs.by)]
+    directions = [(positive, "by terrain.positive"), (_positive_of_band(tags), "by its band"), (of_crs.positive, of_crs.by)]
     direction, positive_from = next(((way, by) for way, by in directions if way is not None), ("up", None))
     other = f"in {by_crs[0]} {of_crs.by}" if by_crs is not None and differs else None
     return VerticalAxis(name, unit_m, unit_from, "down" if direction == "down" else "up", positive_from, other)
@@ -114,11 +139,7 @@ class _CrsAxis:
     by: str = ""
 
 
-def _axis_of_crs(dataset: rasterio.DatasetReader) -> _CrsAxis:
-    try:
-        crs = None if dataset.crs is None else CRS.from_user_input(dataset.crs.to_wkt())
-    except (CRSError, RasterioError):  # refused by who needs the CRS
-        crs = None
+def _axis_of_crs(crs: CRS | None) -> _CrsAxis:
     if crs is None or len(crs.axis_info) != 3:
         return _CrsAxis()
     axis, parts = crs.axis_info[2], crs.sub_crs_list
@@ -127,13 +148,15 @@ def _axis_of_crs(dataset: rasterio.DatasetReader) -> _CrsAxis:
     return _CrsAxis(axis.unit_name, unit_m, positive, f"by its CRS '{parts[-1].name if parts else crs.name}'")
 
 
-def unit_of_band(source: str, dataset: rasterio.DatasetReader, crs_word: str | None = None) -> Units | None:
-    """The unit of a raster's first band in words that it states; ``None`` where it states none, or that of its CRS, ``crs_word``,
-    which is no word of ours (GDAL repeats it). Raises ``SourceError``.
-    """
-    word = dataset.units[0] or ""
+def unit_of_band(source: str, dataset: rasterio.DatasetReader) -> Units | None:
+    """The unit that a raster's first band states; ``None`` where it states none. Raises ``SourceError``."""
+    return _unit_of_band(source, dataset.units[0] or "", None)
+
+
+def _unit_of_band(source: str, word: str, crs_word: str | None) -> Units | None:
+    """The unit of a word; ``None`` for one that states none, or that of the CRS, which is no word of ours (GDAL repeats it)."""
     unit = unit_of_word(word)
-    if unit is None and _plain_words(word)[0] not in NO_UNIT_WORDS and word != crs_word:
+    if unit is None and not _states_no_unit(word) and word != crs_word:
         known = f"one of {', '.join(METRES_PER_UNIT)} or their long names; of ground, else {remedy('units', 'UNIT')}"
         raise SourceError(source, f"unit {word} of its band", known)
     return unit
@@ -141,7 +164,14 @@ def unit_of_band(source: str, dataset: rasterio.DatasetReader, crs_word: str | N
 
 def unit_of_word(word: str) -> Units | None:
     """The unit that a word means, as files write it; ``None`` for one that is not known."""
+    if word.strip() in FOOT_MARKS:
+        return "ft"
     return next((UNIT_WORDS[plain] for plain in _plain_words(word) if plain in UNIT_WORDS), None)
+
+
+def _states_no_unit(word: str) -> bool:
+    plain = _plain_words(word)[0]
+    return plain in NO_UNIT_WORDS if plain else not word.strip(_PLACEHOLDERS)
 
 
 def _plain_words(word: str) -> tuple[str, str]:
@@ -155,9 +185,8 @@ def _name_of(unit_m: float) -> str:
     return next((name for name, metres in METRES_PER_UNIT.items() if abs(unit_m / metres - 1.0) <= _SAME_UNIT), f"{unit_m:.9g} m")
 
 
-def _positive_of_band(dataset: rasterio.DatasetReader) -> Positive | None:
-    tags = dataset.tags(1)
-    stated = tags.get("positive", "").strip().lower()
+def _positive_of_band(tags: Mapping[str, object]) -> Positive | None:
+    stated = str(tags.get("positive", "")).strip().lower()
     if stated in ("up", "down"):
         return "down" if stated == "down" else "up"
-    return "down" if tags.get("standard_name", "").startswith(_DEPTH_NAMES) else None
+    return "down" if str(tags.get("standard_name", "")).startswith(_DEPTH_NAMES) else None

@@ -23,7 +23,7 @@ PLACE = (500e3, 5200e3, 10.0)
 
 WORDS = {
     "m": ("m", "metre", "Meters", "m a.s.l.", "m (NAVD88)", "metres above sea level", "[m]"),
-    "ft": ("ft", "Foot", "feet", "ft (EGM96)", "Foot_International", "international foot"),
+    "ft": ("ft", "Foot", "feet", "ft (EGM96)", "Foot_International", "international foot", "'", "\N{PRIME}"),
     "us-ft": ("us-ft", "Foot_US", "foot_us", "ftUS", "usft", "ft (US)", "US survey foot", "us_survey_feet", "[ft_us]"),
     "dm": ("dm", "decimetre", "Decimeters"),
     "cm": ("cm", "centimetres", "centimeter"),
@@ -69,7 +69,7 @@ def test_every_unit_has_words():
     assert set(UNIT_WORDS.values()) == set(METRES_PER_UNIT)
 
 
-@pytest.mark.parametrize("word", ["furlong", "degree", "m/s", "kPa", "metres below the sea"])
+@pytest.mark.parametrize("word", ["furlong", "degree", "m/s", "kPa", "metres below the sea", "%", "\N{DEGREE SIGN}"])
 def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path, word):
     path = with_unit(tmp_path / "dem.tif", np.full((4, 4), 2.0, np.float32), word)
     for read in (Elevation, Canopy):
