@@ -43,7 +43,8 @@ class SkuggaAccessor:
     """Questions of sun to heights (y, x), metres, with a CRS by ``rio.write_crs``.
 
     There is no ground where heights are NaN, masked, or the array's nodata (``rio.nodata``). Its attributes ``scale_factor``,
-    ``add_offset`` and ``units`` are heeded as those of a file. Rows and columns may run either way.
+    ``add_offset``, ``units``, ``positive`` and ``standard_name`` are heeded as those of a file. Rows and columns may run either
+    way; answers have their order.
     """
 
     def __init__(self, array: xarray.DataArray) -> None:
@@ -101,7 +102,7 @@ class SkuggaAccessor:
         else:
             values = _by_chunk(grid, made, dtype)
         answer = xarray.DataArray(values, dims=grid.heights.dims, coords=grid.heights.coords, name=name)
-        return answer.isel(grid.flips).rio.write_grid_mapping(self._array.rio.grid_mapping)
+        return answer.isel(grid.flips).transpose(*self._array.dims).rio.write_grid_mapping(self._array.rio.grid_mapping)
 
 
 class _Staged:
@@ -118,7 +119,6 @@ class _Staged:
             crs=grid.crs.to_wkt(), transform=grid.transform, tiled=True, blockxsize=TILE, blockysize=TILE, compress="lzw",
             bigtiff="if_safer", sparse_ok=True,
         )  # fmt: skip
-        self._dataset.units = (grid.unit,)
 
     def __setitem__(self, where: tuple[slice, slice], chunk: np.ndarray) -> None:
         rows, cols = where

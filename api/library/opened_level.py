@@ -384,8 +384,8 @@ def open_heights(height_m: Heights, transform: Transform, crs: AnyCrs) -> OpenLe
     return level_of_heights(cast(np.ndarray, height_m), transform, crs)
 
 
-def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS, unit: str = "") -> OpenLevel:
-    """Open a grid of heights (``grid_of_heights``) in a ``unit``, as files call it, as a level. Raises ``InputError``."""
+def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS) -> OpenLevel:
+    """Open a grid of heights (``grid_of_heights``), metres, as a level. Raises ``InputError``."""
     held = MemoryFile(filename="heights.tif")
     try:
         with warnings.catch_warnings():
@@ -395,9 +395,8 @@ def level_of_heights(heights: np.ndarray, transform: Affine, crs: CRS, unit: str
                 crs=crs.to_wkt(), transform=transform, bigtiff="if_safer",
             ) as dataset:  # fmt: skip
                 dataset.write(heights, 1)
-                dataset.units = (unit,)
-        # Heights grow upwards and are metres unless a unit is told, whatever the vertical axis of the CRS says.
-        source = LevelSource(path=Path(held.name), units=None if unit else "m", positive="up")
+        # Heights are metres and grow upwards, whatever the vertical axis of the CRS says.
+        source = LevelSource(path=Path(held.name), units="m", positive="up")
         return OpenLevel(build_scene(load_level(source)), held)
     except InputError as error:
         held.close()

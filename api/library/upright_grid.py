@@ -17,7 +17,9 @@ from rioxarray.exceptions import RioXarrayError
 from api.library.grids import GRID_BYTES, grid_of_heights
 from api.library.memory import check_memory
 from api.library.opened_level import OpenLevel, level_of_heights
-from terrain.errors import ArrayError, Fault, InputError
+from terrain.errors import ArrayError, Fault, InputError, SourceError
+from terrain.ground.vertical import VerticalAxis, axis_of_band
+from terrain.level.parts import METRES_PER_UNIT
 
 ARRAY = "the array"
 
@@ -29,23 +31,23 @@ CHUNKED = "fewer cells; or chunks, as of da.chunk({'y': 2048, 'x': 2048}) and of
 
 @dataclass(frozen=True, eq=False)
 class UprightGrid:
-    """Heights (y, x) in a ``unit`` as files call it, where they lie, and what turns an answer back to how the array lies."""
+    """Heights (y, x), metres upwards, where they lie, and what turns an answer back to how the array lies."""
 
     heights: xarray.DataArray
     transform: Affine
     crs: CRS
-    unit: str
     flips: dict[Any, slice]
 
     def level(self) -> OpenLevel:
         """The heights in memory as an open level. Raises ``InputError``."""
-        return level_of_heights(grid_of_heights(self.heights.to_numpy(), ARRAY), self.transform, self.crs, self.unit)
+        return level_of_heights(grid_of_heights(self.heights.to_numpy(), ARRAY), self.transform, self.crs)
 
 
 def upright_grid(array: xarray.DataArray) -> UprightGrid:
     """Return the heights of an array.
 
-    What rioxarray tells of it is heeded: dimensions, CRS and geotransform, nodata, ``scale_factor``, ``add_offset`` and ``units``.
+    What rioxarray tells of it is heeded: dimensions, CRS and geotransform, nodata, ``scale_factor``, ``add_offset``, ``units`` and
+    ``positive``.
 
     Raises
     ------
@@ -78,19 +80,32 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
     upright = array.isel(flips)
     y0, dy = _even(upright, y_dim, stated.f, stated.e, y_dim in flips)
     x0, dx = _even(upright, x_dim, stated.c, stated.a, x_dim in flips)
-    unit = array.attrs.get("units")
-    return UprightGrid(_heights(upright), Affine(dx, 0.0, x0, 0.0, dy, y0), crs, unit if isinstance(unit, str) else "", flips)
+    return UprightGrid(_heights(upright, crs), Affine(dx, 0.0, x0, 0.0, dy, y0), crs, flips)
 
 
-def _heights(array: xarray.DataArray) -> xarray.DataArray:
-    """Heights without nodata, scaled; an array of dask stays one."""
+def _heights(array: xarray.DataArray, crs: CRS) -> xarray.DataArray:
+    """Heights without nodata, in metres upwards; an array of dask stays one. Raises ``InputError``."""
     heights = array.astype(np.promote_types(array.dtype, np.float32))
-    nodata = array.rio.nodata
+    try:
+        nodata = array.rio.nodata
+    except (ValueError, OverflowError):  # no value of the array's type: no cell has it
+        nodata = None
     if nodata is not None and not np.isnan(nodata):
         with np.errstate(over="ignore", invalid="ignore"):
             heights = heights.where(array != (array.dtype.type(nodata) if array.dtype.kind == "f" else nodata))
     scale, offset = (float(array.attrs.get(name, usual)) for name, usual in (("scale_factor", 1.0), ("add_offset", 0.0)))
-    return heights if (scale, offset) == (1.0, 0.0) else heights * scale + offset
+    if (scale, offset) != (1.0, 0.0):
+        heights = heights * scale + offset
+    unit_m = _axis(array, crs).scale
+    return heights if unit_m == 1.0 else heights * unit_m
+
+
+def _axis(array: xarray.DataArray, crs: CRS) -> VerticalAxis:
+    unit = array.attrs.get("units")
+    try:
+        return axis_of_band(ARRAY, unit if isinstance(unit, str) else "", array.attrs, crs)
+    except SourceError:
+        raise InputError(f"{ARRAY}: units", unit, f"{', '.join(METRES_PER_UNIT)} or their long names, as an attribute") from None
 
 
 def _crs(array: xarray.DataArray) -> CRS:

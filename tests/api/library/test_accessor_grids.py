@@ -133,3 +133,12 @@ def test_an_array_too_large_for_memory_is_refused_before_it_is_read():
     array = xarray.DataArray(huge, dims=("y", "x"), coords={"spatial_ref": small.spatial_ref})
     with pytest.raises(skugga.SkuggaError, match="GB.*chunks"):
         array.skugga.shadow(**SUN)
+
+
+@THREADED
+@pytest.mark.parametrize("chunks", [None, 50])
+def test_answers_have_the_order_of_the_arrays_dimensions(chunks):
+    turned = placed("EPSG:32633").transpose("x", "y")
+    answer = (turned if chunks is None else turned.chunk(chunks)).skugga.shadow(**SUN)
+    assert answer.dims == ("x", "y")
+    np.testing.assert_array_equal(answer, placed("EPSG:32633").skugga.shadow(**SUN).to_numpy().T)

@@ -10,6 +10,7 @@ import xarray
 from affine import Affine
 
 import skugga
+from tests.api.library.test_library import THREADED
 from tests.rasters import write_geotiff
 
 SUN = {"azimuth": 250.0, "altitude": 12.0}
@@ -94,3 +95,35 @@ def test_scale_offset_and_unit_are_heeded_as_those_of_a_file(height_m, tmp_path)
     np.testing.assert_array_equal(array.assign_attrs(units="ft").skugga.shadow(**SUN), visibility < 0.5)
     metres = heights(height_m * 0 + (feet * 0.5 + 1000.0) * 0.3048).skugga.shadow(**SUN)
     assert (metres.to_numpy() != (visibility < 0.5))[np.isfinite(height_m)].mean() < 0.02, "but for the hole, which casts filled"
+
+
+@THREADED
+@pytest.mark.parametrize(
+    ("per_metre", "said"),
+    [
+        (1.0 / 0.3048, {"units": "ft"}),
+        (100.0, {"units": "cm"}),
+        (-1.0, {"positive": "down"}),
+        (-1.0, {"standard_name": "sea_floor_depth_below_geoid"}),
+        (-1.0 / 1.8288, {"units": "fathoms", "positive": "down"}),
+    ],
+)
+def test_unit_and_direction_are_heeded_in_chunks_and_in_one_piece(height_m, per_metre, said):
+    right = heights(height_m).skugga.shadow(**SUN)
+    array = heights(height_m.astype(np.float64) * per_metre).assign_attrs(said)
+    whole, chunked = array.skugga.shadow(**SUN), array.chunk({"y": 40, "x": 70}).skugga.shadow(**SUN).compute()
+    xarray.testing.assert_equal(chunked, whole)
+    assert (whole != right).mean() < 0.001
+
+
+@pytest.mark.parametrize("chunks", [None, 50])
+def test_an_unknown_unit_of_an_array_is_refused_at_once(height_m, chunks):
+    array = heights(height_m).assign_attrs(units="furlong")
+    with pytest.raises(skugga.SkuggaError, match="units: 'furlong'.*fathom"):
+        (array if chunks is None else array.chunk(chunks)).skugga.shadow(**SUN)
+
+
+def test_nodata_that_no_cell_can_have_is_none(height_m):
+    array = heights(np.nan_to_num(height_m, nan=900.0).astype(np.int16))
+    marked = array.assign_attrs(_FillValue=np.nan)
+    xarray.testing.assert_equal(marked.skugga.shadow(**SUN), array.skugga.shadow(**SUN))
