@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from api.errors import TooCostlyError
+from api.settings import load_settings
 from selector.formatting import format_list
 from shadows.plan import Plan
 from terrain.errors import Fault
@@ -10,6 +11,11 @@ from terrain.level.level import SUN
 
 NOTABLE_MS = 5000.0
 """From here on it is said what makes a picture cheaper."""
+
+
+def time_limit_ms() -> float:
+    """Return the milliseconds beyond which a service gives up a picture."""
+    return 1000.0 * load_settings().render_timeout_s
 
 
 def soft_lamps(plan: Plan) -> dict[str, int]:

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 from api.cli.warnings import say_own_sun, say_warnings
 from api.device_calibration import calibration_for
-from api.picture_cost import check_cost
-from api.settings import load_settings
+from api.picture_cost import check_cost, time_limit_ms
 from selector.select import plan_of_view
 from shadows.passes import PassLayer
 from shadows.render import Frame, render_frame
@@ -62,7 +61,7 @@ def snapshot(
     scene = scene.with_style(*look)
     device = calibration_for(scene.loaded.level.shadows, overrides)
     plan = plan_of_view(scene, view_value, view, overrides, device=device)
-    most_ms = 1000.0 * load_settings().render_timeout_s if max_ms is None else max_ms
+    most_ms = time_limit_ms() if max_ms is None else max_ms
     check_cost(plan, "a block of the map" if isinstance(view_value, MapView) else "the view", most_ms, "--max-ms")
     return scene, render_frame(scene, view_value, plan, on_block, layers)
 

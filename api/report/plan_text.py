@@ -6,7 +6,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 
-from api.picture_cost import NOTABLE_MS, remedy
+from api.picture_cost import NOTABLE_MS, remedy, time_limit_ms
 from selector.formatting import format_duration, format_list, format_percent
 from selector.planner.planner import SETTING_NAMES
 from shadows.algorithm import AlgorithmSettings, Reasoned
@@ -98,6 +98,9 @@ def format_expectation(plan: Plan) -> str:
     )
     if plan.predicted.ms > NOTABLE_MS and (cheaper := remedy(plan)) is not None:
         text = f"{text} For less time, {cheaper}."
+    if plan.predicted.ms > (limit_ms := time_limit_ms()):
+        limit = f"A service gives up pictures after {format_duration(limit_ms)} (SKUGGA_RENDER_TIMEOUT_S): it refuses this one."
+        return f"{text} {limit} Asked for: {target}."
     if plan.target.met is None:
         return f"{text} Asked for: {target}."
     if plan.target.met:

@@ -173,6 +173,13 @@ def test_the_target_is_told_met_or_missed_and_by_how_much():
     assert format_overshoot(made(figures, max_error=0.06, max_ms=40, met=False)) == "15 ms"
 
 
+def test_what_a_service_refuses_is_not_told_to_meet_the_target(monkeypatch):
+    monkeypatch.setenv("SKUGGA_RENDER_TIMEOUT_S", "0.05")
+    said = format_expectation(made(Predicted(ms=55.0, wrong=0.01, wrong_cast=0.01), met=True))
+    assert "meets the target" not in said and "refuses" in said and "SKUGGA_RENDER_TIMEOUT_S" in said and "50 ms" in said
+    assert "meets the target" in format_expectation(made(Predicted(ms=45.0, wrong=0.01, wrong_cast=0.01), met=True))
+
+
 def profile(**changes) -> DeviceProfile:
     fields = {
         "renderer": "a device", "version": "4.6", "cpus": 2, "engine": "0", "measured": datetime(2026, 1, 1, tzinfo=UTC),
