@@ -200,18 +200,10 @@ def _view_of(cells: RasterCells) -> RasterView | None:
 
 
 def _lattice(crs: CRS, x0: float, y0: float, col_step: float, row_step: float, rows: int, cols: int) -> MapView:
-    """Cells by the first one's centre and their sides: nodes of a grid if they are square, else pixels between nodes."""
-    if abs(row_step / col_step - 1.0) <= SQUARE:
-        return MapView(Grid(crs, x0, y0, col_step), 0.0, 0.0, 1.0, 1.0, rows, cols)
-    step = min(col_step, row_step)
-    (row0, down), (col0, right) = _pixels(row_step / step, rows), _pixels(col_step / step, cols)
-    return MapView(Grid(crs, x0 - col0 * step, y0 + row0 * step, step), row0, col0, down, right, rows, cols)
-
-
-def _pixels(step: float, count: int) -> tuple[float, float]:
-    """The first pixel of an axis, in nodes, and the step of the pixels: no node that the last one lies before is off the raster."""
-    beyond = -(step * (count - 1)) % 1.0
-    return (beyond / 2.0 if beyond > step / 2.0 else 0.0), step
+    """Cells by the first one's centre and their sides, as nodes of a grid: shade is that of the cells' own heights."""
+    stretch = row_step / col_step
+    grid = Grid(crs, x0, y0, col_step, 1.0 if abs(stretch - 1.0) <= SQUARE else stretch)
+    return MapView(grid, 0.0, 0.0, 1.0, 1.0, rows, cols)
 
 
 def _within(own: RasterView, bounds: Bounds) -> RasterView:

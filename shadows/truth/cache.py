@@ -91,7 +91,7 @@ def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples:
 def _numbers(view: MapView | PerspectiveView) -> tuple[float, ...]:
     if isinstance(view, PerspectiveView):
         return (view.focal_px, view.row0, view.col0, view.step, *view.eye_earth_m, *view.earth_from_camera.ravel())
-    return view.row0, view.col0, view.row_step, view.col_step, view.grid.step
+    return view.row0, view.col0, view.row_step, view.col_step, view.grid.step, view.grid.stretch
 
 
 def _trim(folder: Path) -> None:

@@ -93,7 +93,7 @@ def _along_pixels(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> bo
     if not isinstance(view, MapView) or light[3] != 0.0 or not scene.world.flat:
         return False
     columns = buffer.columns
-    steps = (view.row_step, view.col_step) if columns is None else (columns.window.columns.grid.stretch, 1.0)
+    steps = (view.row_step * view.grid.stretch, view.col_step) if columns is None else (columns.window.columns.grid.stretch, 1.0)
     down, right = -light[1] / steps[0], light[0] / steps[1]
     along = np.abs([down, right, down - right, down + right])
     return bool(along.min() <= ALONG * along.max())

@@ -94,7 +94,7 @@ def _sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     a finer grid: node n has the square from n to n + 1. The nodes of the map's own grid are among its nodes, or half-way between.
     """
     steps = float(np.rint(view.grid.step / grid.step))
-    offsets = (view.grid.y0 - grid.y0) / grid.step, (grid.x0 - view.grid.x0) / grid.step
+    offsets = (view.grid.y0 - grid.y0) / (grid.step * grid.stretch), (grid.x0 - view.grid.x0) / grid.step
     axes = (view.row0, view.row_step, view.rows), (view.col0, view.col_step, view.cols)
     row, col = (
         (first + (np.arange(count + 1) - 0.5) * step) * steps - np.rint(2.0 * offset) / 2.0 + 0.5

@@ -239,8 +239,8 @@ def _pixels(view: MapView, at: np.ndarray) -> np.ndarray:
     grid, x = view.grid, at[:, 0]
     if grid.crs.is_geographic:
         x = x + 360.0 * np.rint((view.centre[0] - x) / 360.0)
-    col = ((x - grid.x0) / grid.step - view.col0) / view.col_step + 0.5
-    row = ((grid.y0 - at[:, 1]) / grid.step - view.row0) / view.row_step + 0.5
+    col = (grid.col(x) - view.col0) / view.col_step + 0.5
+    row = (grid.row(at[:, 1]) - view.row0) / view.row_step + 0.5
     return np.stack([col, row, at[:, 2]], axis=-1)
 
 

@@ -85,8 +85,9 @@ class Grid:
 
     def subdivided(self, level: int) -> Grid:
         """The grid whose pixels are this one's cut into 2**level a side: of a tile matrix that of the matrix ``level`` zooms on."""
-        step = self.step / 2**level
-        return Grid(self.crs, self.x0 - self.step / 2 + step / 2, self.y0 + self.step / 2 - step / 2, step)
+        step, side = self.step / 2**level, self.step * self.stretch
+        y0 = self.y0 + side / 2 - step * self.stretch / 2
+        return Grid(self.crs, self.x0 - self.step / 2 + step / 2, y0, step, self.stretch)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from datetime import date
 from pathlib import Path
@@ -346,3 +347,29 @@ def test_a_part_of_turned_cells_is_cut_from_the_whole(tmp_path, flipped):
 def test_cells_that_are_not_square_are_all_there(tmp_path, cell):
     raster = write_geotiff(tmp_path / "oblong.tif", np.zeros((SIDE, SIDE), np.float32), "EPSG:32632", 5e5, 5.3e6, cell)
     assert not (mask_of(raster, tmp_path / "mask.tif", 200.0) == MASK_NO_SURFACE).any()
+
+
+@pytest.mark.parametrize("cell", [(10.0, 13.4), (14.4, 10.0), (10.0, 35.0)])
+def test_cells_that_are_not_square_have_their_own_heights(tmp_path, cell):
+    heights = np.random.default_rng(5).uniform(0.0, 30.0, (SIDE, SIDE)).astype(np.float32)
+    raster = write_geotiff(tmp_path / "oblong.tif", heights, "EPSG:32632", 5e5 - cell[0] * SIDE / 2, 5.3e6, cell)
+    mask = mask_of(raster, tmp_path / "mask.tif", 247.0, 25.0)
+    alone = skugga.shadow(heights, cell[::-1], 247.0, 25.0, lines=64)
+    inside = np.s_[2:-2, 2:-2]  # what lies beyond the rim is another thing to either
+    assert ((mask == MASK_SHADOW) != alone)[inside].mean() < 0.002
+
+
+@pytest.mark.parametrize("algorithm", ["auto", "shadow_map", "shadow_volume", "truth"])
+def test_buildings_stand_where_they_are_on_oblong_cells(gl, tmp_path, algorithm):
+    x0, y0, cell = 5e5, 5.3e6, (5.0, 10.0)
+    ground = write_geotiff(tmp_path / "oblong.tif", np.zeros((60, 120), np.float32), "EPSG:32632", x0, y0, cell)
+    footprint = [[x0 + x, y0 - y] for x, y in ((200, 300), (240, 300), (240, 340), (200, 340), (200, 300))]
+    feature = {"type": "Feature", "properties": {"height": 60.0}, "geometry": {"type": "Polygon", "coordinates": [footprint]}}
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32632"}}
+    houses = tmp_path / "houses.geojson"
+    houses.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}), encoding="utf-8")
+    with skugga.open_level(ground, buildings=houses) as level:
+        mask = level.shade("mask", azimuth=270.0, altitude=45.0, algorithm=algorithm)
+    rows, cols = np.nonzero(mask == MASK_SHADOW)
+    assert (rows.min(), rows.max()) == (30, 33)
+    assert (cols.min(), cols.max()) == (48, 59)  # 60 m from the wall on; roofs are lit
