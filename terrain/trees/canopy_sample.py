@@ -11,6 +11,9 @@ from terrain.errors import SourceError
 MAX_HEIGHT_M = 150.0
 """Canopy above is none."""
 
+GIANT_HEIGHT_M = 80.0
+"""Single trees grow higher than this (the highest one to 116 m), but not most of a wood."""
+
 TREE_HEIGHT_M, SHRUB_HEIGHT_M = 2.0, 0.5
 """Canopy from which cells are trees, and hedges or vines, where the level names no other height."""
 
@@ -51,6 +54,8 @@ class CanopyCells:
         From there to ``MAX_HEIGHT_M``.
     absurd
         Higher than that.
+    giant
+        Higher than ``GIANT_HEIGHT_M``, absurd ones among them.
     """
 
     unknown: float
@@ -58,6 +63,12 @@ class CanopyCells:
     low: float
     tall: float
     absurd: float
+    giant: float
+
+    @property
+    def is_mostly_giant(self) -> bool:
+        """Whether most cells with trees are higher than woods are: in another unit, as decimetres."""
+        return self.giant > self.tall + self.absurd - self.giant
 
     @property
     def is_low(self) -> bool:
@@ -82,7 +93,8 @@ def cells_of(heights_m: np.ndarray) -> CanopyCells:
     """Return the shares of heights (n,), NaN where there are none."""
     edges = (heights_m < SHRUB_HEIGHT_M, heights_m < TREE_HEIGHT_M, heights_m <= MAX_HEIGHT_M, heights_m > MAX_HEIGHT_M)
     unknown, *upto = (float(np.mean(each)) for each in (np.isnan(heights_m), *edges))
-    return CanopyCells(unknown, upto[0], upto[1] - upto[0], upto[2] - upto[1], upto[3])
+    giant = float(np.mean(heights_m > GIANT_HEIGHT_M))
+    return CanopyCells(unknown, upto[0], upto[1] - upto[0], upto[2] - upto[1], upto[3], giant)
 
 
 def check_above_ground(source: str, heights_m: np.ndarray, ground_m: np.ndarray) -> None:

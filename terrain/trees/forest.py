@@ -26,7 +26,7 @@ from terrain.level.parts import ForestSpec, Species
 from terrain.level.rasters import is_raster
 from terrain.trees.canopy import COARSE_CELL_M, MAX_CROWN_RATIO, PACKING, TREETOP_WINDOW_M, Canopy, CellWindow, border_cells, room_m
 from terrain.trees.canopy_sample import (
-    MAX_HEIGHT_M,
+    GIANT_HEIGHT_M,
     MAX_SHRUBS,
     SHRUB_HEIGHT_M,
     TREE_HEIGHT_M,
@@ -275,8 +275,9 @@ def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: i
     height = np.concatenate([piece.height_m for piece in stands] or [np.empty(0)])[first]
     crown = None if spec.crown is None else _values(spec.crown, None, first, places.key, CROWN)
     warnings = []
-    if cells.absurd > cells.tall:
-        warnings.append(f"more of its cells are higher than {MAX_HEIGHT_M:g} m than are trees: is the unit of its heights right?")
+    if cells.is_mostly_giant:
+        said_m = f"{GIANT_HEIGHT_M:g} m"
+        warnings.append(f"most of its cells with trees are higher than {said_m}: is the unit of its heights right?")
     return Stems(
         places, height, crown, MAX_CROWN_RATIO * room_m(places.x, places.y, site.unit_m),
         left_out=f"of its cells {said}" if (said := cells.left_out(canopy.least_m)) else "", warnings=tuple(warnings),

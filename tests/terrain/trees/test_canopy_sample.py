@@ -60,10 +60,16 @@ def test_a_unit_that_is_none_is_refused(planting):
         planting(tops(8.0), unit="furlong")
 
 
+@pytest.mark.parametrize(("value", "is_told"), [(120.0, True), (60.0, False)])
+def test_a_wood_higher_than_woods_are_is_told(planting, value, is_told):
+    found = planting(tops(value))  # 12 m in decimetres, without a unit; and giants
+    assert found.trees is not None and ("higher than 80 m: is the unit" in " ".join(found.warnings)) is is_told
+
+
 def test_a_canopy_that_plants_nothing_says_why(planting):
     found = planting(tops(250.0))  # decimetres without a unit
     assert found.trees is None and len(found.warnings) == 2
-    assert "more of its cells are higher than 150 m than are trees: is the unit of its heights right?" in found.warnings[0]
+    assert "most of its cells with trees are higher than 80 m: is the unit of its heights right?" in found.warnings[0]
     assert found.warnings[1].endswith(
         "canopy.tif: no tree is planted: of its cells 99.9 % lower than 0.5 m, 0.09 % higher than 150 m"
     )
