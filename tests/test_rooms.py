@@ -125,7 +125,7 @@ MAY_IMPORT = {
     "api.map_probing": "",
     "api.file_stamps": "",
     "api.exhaustion": "errors",
-    "api.picture_cost": "errors",
+    "api.picture_cost": "errors settings",
     "api.workers": "device_calibration errors exhaustion layers map_probing picture_cost point settings sun_hours_layer",
     "api.library": "catalogue device_calibration film_span layers point raster_file shade shade_layers sun_hours",
     "api.animations": "errors exhaustion film_files settings workers",
