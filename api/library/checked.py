@@ -138,9 +138,12 @@ def _crs(value: Any) -> CRS:
     try:
         if isinstance(value, str) and value.isascii() and value.strip().isdigit():
             value = int(value)
-        return CRS.from_user_input(value.to_wkt() if hasattr(value, "to_wkt") else value)
+        crs = CRS.from_user_input(value.to_wkt() if hasattr(value, "to_wkt") else value)
     except (CRSError, TypeError, ValueError):
         raise PydanticCustomError("crs", "a CRS that PROJ knows, as EPSG:32616") from None
+    if crs.type_name == "Vertical CRS":  # GDAL's GeoTIFFs make a flat world of it
+        raise PydanticCustomError("crs", "a CRS with x and y, as EPSG:32616: this one has heights alone")
+    return crs
 
 
 def _transform(value: Any) -> Affine:

@@ -110,11 +110,14 @@ def _axis(array: xarray.DataArray, crs: CRS) -> VerticalAxis:
 
 def _crs(array: xarray.DataArray) -> CRS:
     try:
-        if (crs := array.rio.crs) is not None:
-            return CRS.from_user_input(crs.to_wkt())
+        found = None if array.rio.crs is None else CRS.from_user_input(array.rio.crs.to_wkt())
     except (CRSError, RasterioError, ValueError):
         raise InputError("crs", Fault(f"{ARRAY} has a CRS that PROJ does not know"), "one by da.rio.write_crs(...)") from None
-    raise InputError("crs", Fault(f"{ARRAY} has none"), "an array with a CRS: da.rio.write_crs(...)")
+    if found is None:
+        raise InputError("crs", Fault(f"{ARRAY} has none"), "an array with a CRS: da.rio.write_crs(...)")
+    if found.type_name == "Vertical CRS":  # GDAL's GeoTIFFs make a flat world of it
+        raise InputError("crs", Fault(f"{ARRAY} has {found.name}, of heights alone"), "one with x and y: da.rio.write_crs(...)")
+    return found
 
 
 def _stated(array: xarray.DataArray) -> Affine:

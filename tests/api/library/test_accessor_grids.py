@@ -142,3 +142,12 @@ def test_answers_have_the_order_of_the_arrays_dimensions(chunks):
     answer = (turned if chunks is None else turned.chunk(chunks)).skugga.shadow(**SUN)
     assert answer.dims == ("x", "y")
     np.testing.assert_array_equal(answer, placed("EPSG:32633").skugga.shadow(**SUN).to_numpy().T)
+
+
+@pytest.mark.parametrize("chunks", [None, 50])
+def test_a_crs_of_heights_alone_is_refused(chunks):
+    heights = placed("EPSG:32633").rio.write_crs("EPSG:5773")
+    with pytest.raises(skugga.SkuggaError, match="^crs: .*heights alone"):
+        (heights if chunks is None else heights.chunk(chunks)).skugga.shadow(**SUN)
+    with pytest.raises(skugga.SkuggaError, match="^crs: .*heights alone"):
+        skugga.open_heights(hills(), Affine(30.0, 0.0, 500e3, 0.0, -30.0, 5200e3), "EPSG:5773")
