@@ -303,9 +303,7 @@ class Elevation:
         beyond = ~(np.abs(self.xy(row, col)[1]) <= 90.0)
         return np.where(beyond, np.nan, on_row), np.where(beyond, np.nan, on_col)
 
-    def _heights_on_level(
-        self, level: int, row: np.ndarray, col: np.ndarray, ends: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _heights_on_level(self, level: int, row: np.ndarray, col: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``heights_at`` for rows and columns on a level, of which the least and the greatest are known."""
         from terrain.ground.cells import cell_heights
         from terrain.ground.elevation_loops import bilinear
