@@ -8,6 +8,9 @@ reads the same wherever it begins; less than one such cell is lost at the south 
 Holes (nodata) are no surface in the picture, but they are filled for casting: smoothly from their rims, so that no wall
 and no pit arises. Cells farther than ``FILL_CELLS`` from any data stay empty and cast nothing.
 
+A cell reaches half its side beyond its centre, and so does a raster. On a grid its surface goes on for the node next to its
+outermost ones, at the height of its border: that node casts, and shows nothing.
+
 Standing water is surface like any other: no height that is given out lies below it. Shores run where the bilinear ground rises
 out of the water, and not along cells.
 """

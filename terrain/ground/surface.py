@@ -33,7 +33,7 @@ class HeightWindow:
     """Nodes [row0, row0 + rows) x [col0, col0 + cols) of a grid.
 
     ``height_m`` is (rows, cols) float32, NaN where no surface can be (outside the data). ``there`` says where the picture shows a
-    surface: holes are filled, but not ``there``.
+    surface: holes are filled, and ground goes on for a node beyond the raster, but neither is ``there``.
     """
 
     row0: int
