@@ -269,6 +269,9 @@ class Elevation:
         the cells, and not with the nodes: a ray that leaves the nodes a hair's breadth aside is still over a cell.
         """
         on_row, on_col, ends = self._on_level(level, row, col)
+        if not np.isfinite(ends).all():
+            inner = row.shape[0] - 2, row.shape[1] - 2
+            return np.full(inner, np.nan, np.float32), np.zeros(inner, bool)
         on_raster = np.isfinite(on_row)
         place = np.nonzero(_grown(on_raster) & ~on_raster)
         rim_row, rim_col = self._clamped(level, row[place], col[place])
