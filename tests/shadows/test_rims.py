@@ -1,0 +1,63 @@
+"""Ground casts as far as its cells reach, also along a raster's border, where nothing lies beyond their centres."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+import skugga
+from tests.rasters import ENGINEERING
+
+ALGORITHMS = [None, "sweep", "shadow_map", "shadow_volume", "hybrid", "truth"]
+"""``None``: whichever the engine takes by itself."""
+
+WALL_M, ALTITUDE, CELL_M = 60.0, 30.0, 10.0
+LENGTH_CELLS = int(WALL_M / np.tan(np.radians(ALTITUDE)) / CELL_M)
+
+SIZE = 101
+WALL = slice(50, 53)
+
+
+def wall_across(azimuth: float) -> np.ndarray:
+    """Heights of a plain with a wall from border to border, before which the sun stands square or nearly so."""
+    heights = np.zeros((SIZE, SIZE), np.float32)
+    heights[WALL] = WALL_M
+    return heights if abs(azimuth - 180.0) < 45.0 else heights.T
+
+
+def masked(raster, azimuth: float, altitude: float, algorithm: str | None) -> np.ndarray:
+    """Which cells of a raster lie in shadow, by the library's path."""
+    how = {} if algorithm is None else {"algorithm": algorithm}
+    with skugga.open_level(str(raster)) as level:
+        return level.shade("mask", azimuth=azimuth, altitude=altitude, **how) == 0
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("azimuth", [180.0, 179.999, 180.001, 90.0, 89.999, 200.0])
+def test_a_wall_shades_its_outermost_lines(gl, write_raster, azimuth, algorithm):
+    """Each line behind the wall whose rays reach it over the raster's cells, as many cells as in the middle."""
+    dark = masked(write_raster(wall_across(azimuth), ENGINEERING, 0, 10 * SIZE, CELL_M), azimuth, ALTITUDE, algorithm)
+    behind = (dark if abs(azimuth - 180.0) < 45.0 else dark.T[:, ::-1])[: WALL.start]
+    length = behind.sum(axis=0)
+    aside = LENGTH_CELLS * np.abs(np.tan(np.radians(azimuth - 180.0 if abs(azimuth - 180.0) < 45.0 else azimuth - 90.0)))
+    reached = slice(int(np.ceil(aside - 0.5)), None)  # from there on rays run over cells up to the wall, which lies west of north
+    assert length[SIZE // 2] == int(LENGTH_CELLS * np.cos(np.radians(azimuth - 180.0))) if azimuth == 200.0 else LENGTH_CELLS
+    np.testing.assert_array_equal(length[reached], length[SIZE // 2])
+
+
+def test_border_cells_are_as_near_to_rays_as_others(gl, write_raster):
+    """Rough ground under suns from every side: the rays go on over the ground's rim as over the rest."""
+    noise = np.random.default_rng(3).normal(size=(96, 96))
+    heights = 25.0 * gaussian_filter(noise, 1.2) + 150.0 * gaussian_filter(noise, 6.0)
+    raster = write_raster(heights.astype(np.float32), ENGINEERING, 0, 960, CELL_M)
+    border = np.ones((96, 96), bool)
+    border[1:-1, 1:-1] = False
+    for azimuth, altitude in ((180.0, 20.0), (33.0, 12.0), (271.0, 35.0), (140.0, 45.0)):
+        rays = masked(raster, azimuth, altitude, "truth")
+        assert rays[border].any()
+        for algorithm, share in (("sweep", 0.0), ("shadow_volume", 0.0), ("shadow_map", 0.02)):
+            wrong = masked(raster, azimuth, altitude, algorithm) != rays
+            assert wrong[border].mean() <= share + wrong[~border].mean(), (azimuth, algorithm)
+        from_memory = skugga.shadow(heights.astype(np.float32), CELL_M, azimuth, altitude)
+        assert (from_memory != rays)[border].mean() <= 0.005
