@@ -137,12 +137,14 @@ def forget_halves(path: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def disk_error(path: Path) -> OSError | None:
-    """Return the error that writing beside ``path`` meets now, or ``None``: libraries tell that a write failed, and not why."""
+def disk_error(path: Path, size: int = _PROBE_BYTES) -> OSError | None:
+    """Return the error that writing ``size`` bytes beside ``path`` meets now, or ``None``: libraries tell that a write failed, and
+    not why.
+    """
     probe = path.parent / f"{_beside(path)}{secrets.token_hex(4)}"
     try:
         with probe.open("wb") as file:
-            file.write(bytes(_PROBE_BYTES))
+            file.write(bytes(size))
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
