@@ -207,7 +207,7 @@ def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[in
             t + rays.height_m * t_rise, t_rise, light[..., 1] - rays.level_m, upwards[..., 1], -light[..., 2], -upwards[..., 2],
         ])  # fmt: skip
 
-    place, lean, zero, rise, along, along_rise = _border_cubics(along_rays, *turned.shape, grid.crs.name)
+    place, lean, zero, rise, along, along_rise = _border_cubics(along_rays, turned.shape[0], turned.shape[1], grid.crs.name)
     padded = np.pad(turned, [(0, -size % BAND_CELLS) for size in turned.shape], constant_values=NO_COLUMN)
     tops = padded.reshape(padded.shape[0] // BAND_CELLS, BAND_CELLS, -1, BAND_CELLS).max(axis=(1, 3))
     ahead = np.concatenate([[NO_COLUMN], np.maximum.accumulate(turned.max(axis=1))]).astype(np.float32)
