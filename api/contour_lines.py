@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import rasterio
 from rasterio.windows import Window
 
 from terrain.errors import InputError
-from terrain.whole_files import replaced_whole
+from terrain.whole_files import replaced_whole, write_error
 
 WINDOW_CELLS = 2048
 """Cells along a window; neighbours share a row or column, on which their lines end at the same points."""
@@ -51,7 +50,6 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
         found.append(shapely.transform(single, lambda cell: np.stack(transform @ (cell[:, 0] + 0.5, cell[:, 1] + 0.5), axis=1)))
         labels.append(np.full(len(single), value))
     lines_found = np.concatenate(found) if found else np.empty(0, object)
-    full = f"the contours could not be written whole; is the disk full? {len(lines_found)} lines"
     with replaced_whole(output) as path:
         try:
             pyogrio.raw.write(
@@ -60,9 +58,9 @@ def write_contours(raster: Path, values: Sequence[float], output: Path) -> int:
             )  # fmt: skip
             written = len(pyogrio.raw.read(path)[2])
         except (DataSourceError, DataLayerError, GeometryError, FeatureError) as error:
-            raise OSError(errno.EIO, full, str(path)) from error
+            raise write_error(path, "the contours", error) from error
         if written != len(lines_found):
-            raise OSError(errno.EIO, full, str(path))
+            raise write_error(path, "the contours", ValueError(f"{written} of {len(lines_found)} lines"))
     return len(lines_found)
 
 

@@ -47,6 +47,10 @@ class WorkerCrashError(RenderError):
     """A render process ended in the middle of its work."""
 
 
+class WorkerStartError(BusyError):
+    """A render process ended, or did not get ready in time, while it started."""
+
+
 class BrokenShardError(RenderError):
     """The bytes of a shard are not those that its index tells of; ``number`` is the shard's among those that are read."""
 
@@ -112,7 +116,7 @@ class Outcome:
 
     ``public`` is the sentence that HTTP clients read; ``None`` lets them read the error's own message. Errors of the
     work and of the operator's files have messages with paths and drivers' words in them, which are for the log.
-    ``retry_after_s`` tells the client when to come back.
+    ``retry_after_s`` tells the client when to come back. ``in_http`` says whether HTTP answers can have it at all.
     """
 
     status: int
@@ -120,6 +124,7 @@ class Outcome:
     code: str
     public: str | None = None
     retry_after_s: int | None = None
+    in_http: bool = True
 
 
 OUTCOMES: dict[type[SkuggaError], Outcome] = {
@@ -127,7 +132,7 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     InputError: Outcome(422, WRONG_INPUT, "invalid_parameter"),
     LevelError: Outcome(500, WRONG_INPUT, "level", "The level's file is wrong; the service's log says what."),
     SourceError: Outcome(500, WRONG_INPUT, "source", "The level's raster cannot be read; the service's log says why."),
-    ArrayError: Outcome(422, WRONG_INPUT, "array"),
+    ArrayError: Outcome(422, WRONG_INPUT, "array", in_http=False),
     ArchiveError: Outcome(500, WRONG_INPUT, "archive", "The archive of tiles cannot be read; the service's log says why."),
     UnsupportedError: Outcome(422, WRONG_INPUT, "unsupported"),
     TooLargeError: Outcome(413, WRONG_INPUT, "too_large"),
@@ -150,7 +155,10 @@ OUTCOMES: dict[type[SkuggaError], Outcome] = {
     WorkerCrashError: Outcome(
         503, FAILED, "worker_crash", "Two render processes ended in the middle of this picture; others take their places.", 2
     ),
-    BrokenShardError: Outcome(500, FAILED, "broken_shard", "Tiles that were stored are broken; the log says which."),
+    WorkerStartError: Outcome(
+        503, FAILED, "worker_start", "A render process ended while it started; it is started again.", retry_after_s=5
+    ),
+    BrokenShardError: Outcome(500, FAILED, "broken_shard", "Tiles that were stored are broken; the log says which.", in_http=False),
     GraphicsError: Outcome(
         503, FAILED, "graphics", "The service cannot draw: OpenGL does not work; its log says why.", retry_after_s=30
     ),

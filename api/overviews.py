@@ -6,7 +6,6 @@ heights there are below it, and without a height where there is none.
 
 from __future__ import annotations
 
-import errno
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -29,7 +28,7 @@ from terrain.ground.overview import lacks_overviews, overview_level
 from terrain.ground.vertical import vertical_axis
 from terrain.level.parts import Positive, Units
 from terrain.level.rasters import open_raster
-from terrain.whole_files import replaced_whole
+from terrain.whole_files import replaced_whole, write_error
 
 TILE_CELLS = 512
 """Side of a tile of the file."""
@@ -85,7 +84,7 @@ def make_overviews(
                 predictor=3 if dtype.kind == "f" else 2, bigtiff="if_safer", sparse_ok=True,
             ) as half:  # fmt: skip
                 for done, window in enumerate(parts, start=1):
-                    half.write(_halved(dataset, window, limits, nodata, empty), 1, window=window)
+                    _write(half, _halved(dataset, window, limits, nodata, empty), window, made)
                     if on_part is not None:
                         on_part(done, total)
                 factors = [2**n for n in range(1, overview_level(*dataset.shape))]
@@ -101,11 +100,18 @@ def make_overviews(
     return target
 
 
+def _write(half: DatasetWriter, values: np.ndarray, window: Window, path: Path) -> None:
+    try:
+        half.write(values, 1, window=window)
+    except RasterioError as error:
+        raise write_error(path, "the overviews", error) from error
+
+
 def _build_coarser(half: DatasetWriter, factors: list[int], path: Path) -> None:
     try:
         half.build_overviews(factors, Resampling.average)
     except Exception as error:  # GDAL's own errors, which rasterio gives no public base
-        raise OSError(errno.EIO, f"overviews could not be written; is the disk full? ({error})", str(path)) from error
+        raise write_error(path, "the overviews", error) from error
 
 
 def _opened(raster: Path) -> rasterio.DatasetReader:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -19,7 +18,7 @@ from rasterio.io import DatasetWriter
 from rasterio.shutil import copy
 from rasterio.windows import Window
 
-from terrain.whole_files import replaced_whole
+from terrain.whole_files import replaced_whole, write_error
 
 TILE = 512
 
@@ -65,9 +64,12 @@ class RasterFile:
         self._dataset = dataset
 
     def write(self, row: int, col: int, array: np.ndarray) -> None:
-        """Write (rows, cols) or (rows, cols, bands) from a cell on."""
+        """Write (rows, cols) or (rows, cols, bands) from a cell on. Raises ``OSError``."""
         bands = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)
-        self._dataset.write(bands, window=Window(col, row, array.shape[1], array.shape[0]))
+        try:
+            self._dataset.write(bands, window=Window(col, row, array.shape[1], array.shape[0]))
+        except RasterioError as error:
+            raise write_error(Path(self._dataset.name), "the raster", error) from error
 
 
 @contextmanager
@@ -103,7 +105,7 @@ def cog(
                 OVERVIEW_RESAMPLING="AVERAGE" if smooth else "NEAREST", NUM_THREADS="ALL_CPUS",
             )  # fmt: skip
         except Exception as error:  # GDAL's own errors, which rasterio gives no public base
-            raise OSError(errno.EIO, _reason(error), str(done)) from error
+            raise write_error(done, "the raster", error) from error
         check_raster(done)
 
 
@@ -119,8 +121,4 @@ def check_raster(path: Path) -> None:
                 for _, window in dataset.block_windows(1):
                     dataset.read(window=window)
     except RasterioError as error:
-        raise OSError(errno.EIO, _reason(error), str(path)) from error
-
-
-def _reason(error: Exception) -> str:
-    return f"the raster could not be written whole; is the disk full? ({error.__cause__ or error})"
+        raise write_error(path, "the raster", error) from error

@@ -179,7 +179,34 @@ def _like(scene: Scene, cells: RasterCells) -> RasterView:
     found = _view_of(cells)
     if found is None:
         raise SourceError(cells.name, "a turned grid", "rows and columns along the axes of its CRS")
+    west, south, east, north = found.view.bounds
+    right, up = (east - west) / found.view.cols / 2.0, (north - south) / found.view.rows / 2.0
+    if not scene.shows(cells.crs, (west + right, south + up, east - right, north - up)):  # the cells' centres
+        own = scene.default_bounds(cells.crs)
+        raise InputError("like", cells.name, f"a raster that meets the level, {_extents(found.view.bounds, own, cells.crs)}")
     return found
+
+
+def reach_beside(scene: Scene, raster: RasterView) -> str | None:
+    """Return a sentence on a raster that reaches beyond the level's extent by more than a cell, else ``None``."""
+    try:
+        own = scene.default_bounds(raster.crs)
+    except InputError:  # the level has no extent in that CRS
+        return None
+    west, south, east, north = raster.view.bounds
+    if raster.crs.is_geographic:  # the same places, as near as whole turns bring them
+        turns = 360.0 * round((own[0] + own[2] - west - east) / 720.0)
+        west, east = west + turns, east + turns
+    cell = max(abs(value) for value in (raster.transform.a, raster.transform.b, raster.transform.d, raster.transform.e))
+    if min(west - own[0], south - own[1], own[2] - east, own[3] - north) >= -cell:
+        return None
+    return f"the raster reaches beyond the level, and is empty there: {_extents(raster.view.bounds, own, raster.crs)}"
+
+
+def _extents(theirs: Bounds, own: Bounds, crs: CRS) -> str:
+    """The extents of a raster and of a level in words."""
+    there, here = (",".join(f"{value:.9g}" for value in bounds) for bounds in (theirs, own))
+    return f"in units of {crs.name}: it is {there}, the level {here} (west,south,east,north)"
 
 
 def _view_of(cells: RasterCells) -> RasterView | None:

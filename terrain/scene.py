@@ -64,7 +64,8 @@ class Scene:
     """A level's ground and light. Immutable; ``with_sun`` and ``with_lamp`` give another one over the same ground.
 
     ``seconds`` is what the level's clock says: meshes, lamps and clouds are where they are then. ``moved_lamps`` are its lamps
-    where they are not those of the level, ``styled`` how it is shaded where that is not the level's.
+    where they are not those of the level, ``styled`` how it is shaded where that is not the level's. ``sun_is_default`` says
+    whether nobody chose the sun: the level names none, and no other was set.
     """
 
     loaded: LoadedLevel
@@ -75,6 +76,7 @@ class Scene:
     seconds: float = 0.0
     moved_lamps: Mapping[str, Lamp] = field(default_factory=dict)
     styled: StyleSpec | None = None
+    sun_is_default: bool = False
 
     @property
     def place(self) -> Geolocator:
@@ -130,7 +132,7 @@ class Scene:
 
     def with_sun(self, spec: SunSpec | None) -> Scene:
         """The same ground under another sun (``None`` keeps the level's)."""
-        return self if spec is None else replace(self, sun=sun_of(spec, self.world))
+        return self if spec is None else replace(self, sun=sun_of(spec, self.world), sun_is_default=False)
 
     def with_style(self, name: str | None, slope_exaggeration: float | None = None) -> Scene:
         """The same scene in another style, or with other slopes in shading (``None`` keeps the level's).
@@ -279,7 +281,7 @@ class Scene:
             raise InputError("bounds", extent, f"west < east and south < north, in units of {target.name}")
         pixels = (east - west) / (size or (1, 1))[0], (north - south) / (size or (1, 1))[1]
         if max(map(abs, extent)) > 1e9 or min(pixels) < 1e-9 * max(map(abs, extent)):
-            raise InputError("bounds", extent, "coordinates below 1e9, and pixels larger than their rounding")
+            raise InputError("bounds", extent, f"coordinates below 1e9 in {target.name}, and pixels larger than their rounding")
         if target.is_geographic and not (-540 <= west and east <= 540 and -90.001 <= south and north <= 90.001):
             raise InputError("bounds", extent, "degrees: -540 to 540 from west to east, -90 to 90 from south to north")
         if bounds is not None and not self.shows(target, extent):
@@ -386,11 +388,13 @@ def build_scene(loaded: LoadedLevel) -> Scene:
     if terrain.surface == "blocks" and not elevation.upright:
         raise LevelError(f"{loaded.path}: terrain.surface", "blocks", "smooth: the raster's rows do not run from west to east")
     world = _world(loaded, elevation)
+    sun_is_default = loaded.level.sun is None
     loaded = with_own_sun(loaded, world, elevation)
     spec = loaded.level.sun
     sun = None if spec is None or spec == "none" else sun_of(spec, world)
     seconds = loaded.level.seconds
-    return Scene(loaded, world, elevation, sun, SceneObjects(loaded, world, elevation, seconds), seconds)
+    objects = SceneObjects(loaded, world, elevation, seconds)
+    return Scene(loaded, world, elevation, sun, objects, seconds, sun_is_default=sun_is_default)
 
 
 def with_own_sun(loaded: LoadedLevel, world: World, elevation: Elevation) -> LoadedLevel:

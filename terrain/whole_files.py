@@ -19,6 +19,9 @@ from pathlib import Path
 _NAME_LENGTH = 60
 """Characters of a file's name that the folder beside it takes over: names have 255 bytes at most."""
 
+_PROBE_BYTES = 2**20
+"""Size of the file by which ``disk_error`` looks for room: more than the buffers of the libraries whose writes it explains."""
+
 
 def write_whole(path: Path, content: bytes | str) -> None:
     """Write bytes, or text as UTF-8 with its line ends as they are. Raises ``OSError`` with the path."""
@@ -132,6 +135,31 @@ def forget_halves(path: Path) -> None:
     target = path.resolve()
     for folder in target.parent.glob(f"{glob.escape(_beside(target))}????????"):
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def disk_error(path: Path, size: int = _PROBE_BYTES) -> OSError | None:
+    """Return the error that writing ``size`` bytes beside ``path`` meets now, or ``None``: libraries tell that a write failed, and
+    not why.
+    """
+    probe = path.parent / f"{_beside(path)}{secrets.token_hex(4)}"
+    try:
+        with probe.open("wb") as file:
+            file.write(bytes(size))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        number = error.errno or errno.EIO
+        return OSError(number, error.strerror or os.strerror(number), str(path))
+    finally:
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
+    return None
+
+
+def write_error(path: Path, what: str, error: Exception) -> OSError:
+    """Return why ``what`` could not be written to ``path``: as the disk says it, or as the library does if the disk takes files."""
+    refused = disk_error(path)
+    return refused or OSError(errno.EIO, f"{what} could not be written whole ({error.__cause__ or error})", str(path))
 
 
 def _beside(target: Path) -> str:

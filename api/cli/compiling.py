@@ -5,10 +5,13 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Sequence
 from contextlib import ExitStack
+from pathlib import Path
 
 from api.cli.progress import Advance, ProgressBar
 from api.settings import cores
 from terrain.compiling.ahead import PRODUCTS, compile_ahead
+from terrain.errors import RenderError
+from terrain.whole_files import disk_error
 
 
 def compile_for_command(products: Sequence[str]) -> int:
@@ -29,12 +32,29 @@ def compile_for_command(products: Sequence[str]) -> int:
 
 
 def compile_everything() -> str:
-    """Compile all loops that are stored nowhere; return what was done, in a sentence."""
-    start = clock.perf_counter()
-    count = compile_for_command(PRODUCTS)
+    """Compile all loops that are stored nowhere; return what was done, in a sentence.
+
+    Raises ``OSError`` if the store cannot be written, ``RenderError`` if loops are missing in it all the same.
+    """
+    from terrain.compiling.farm import missing_tasks
     from terrain.compiling.loop_cache import loop_store
 
-    store = loop_store()
+    start = clock.perf_counter()
+    folder = loop_store().folder
+    if missing_tasks(PRODUCTS):
+        _check_room(folder)
+    count = compile_for_command(PRODUCTS)
+    missing = len(missing_tasks(PRODUCTS))
+    if missing:
+        _check_room(folder)
+        raise RenderError(f"{folder}: {missing} loops are still missing. They are compiled when they are called.")
     if not count:
-        return f"Nothing to compile: all loops are in {store.folder}"
-    return f"Compiled {count} loops in {clock.perf_counter() - start:.0f} s into {store.folder}"
+        return f"Nothing to compile: all loops are in {folder}"
+    return f"Compiled {count} loops in {clock.perf_counter() - start:.0f} s into {folder}"
+
+
+def _check_room(folder: Path) -> None:
+    """Raise ``OSError`` with the folder if no file can be written there."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if (refused := disk_error(folder / "loops")) is not None:
+        raise OSError(refused.errno, refused.strerror, str(folder))

@@ -72,6 +72,9 @@ def main() -> None:
             raise
         status = _fail(f"{error.filename or 'output'}: {error.strerror or error}", 1)
     except Exception as error:
+        ended = error.__cause__
+        if isinstance(error, SystemError) and isinstance(ended, SystemExit | KeyboardInterrupt):  # a signal met a compiled loop
+            sys.exit(ended.code if isinstance(ended, SystemExit) else _fail("interrupted", 1))
         if debug:
             raise
         status = _fail(f"internal error, {type(error).__name__}: {error}; --debug shows where", 1)

@@ -8,7 +8,7 @@ from typing import Any
 
 from api.cli.outputs import check_targets
 from api.cli.times import paths_by_time
-from api.cli.warnings import say_own_sun, say_warnings, say_written
+from api.cli.warnings import say_own_sun, say_reach_beside, say_warnings, say_written
 from api.raster_file import RasterCells
 from api.shade import Bounds, raster_view, write_shade
 from api.shade_layers import SHADE_LAYERS
@@ -50,8 +50,10 @@ def shade_level(
     say_warnings(scene)
     try:
         raster = raster_view(scene, bounds, crs, resolution, like)
+        if like is not None:
+            say_reach_beside(scene, raster)
         if None in suns:
-            say_own_sun(scene, is_invented=loaded.level.sun is None)
+            say_own_sun(scene)
         write_shade(scene, raster, layer, suns, paths, overrides, on_block)
         say_written(paths, f"{layer}, {SHADE_LAYERS[layer].about}", raster)
     finally:

@@ -9,7 +9,7 @@ from pathlib import Path
 from api.cli.outputs import check_targets
 from api.cli.shading import SUFFIXES
 from api.cli.times import duration_of
-from api.cli.warnings import say_warnings, say_written
+from api.cli.warnings import say_reach_beside, say_warnings, say_written
 from api.shade import Bounds, raster_view
 from api.sun_hours import write_sun_hours
 from api.sun_quantities import QUANTITIES, QUANTITY_NOTES
@@ -55,6 +55,8 @@ def write_sun_level(
     try:
         windows = windows_asked(scene.world, first, last, every.days, readings, known_clock)
         raster = raster_view(scene, *where)
+        if where[-1] is not None:
+            say_reach_beside(scene, raster)
         write_sun_hours(scene, raster, windows, rules, {quantity: output}, on_block, lines, clock)
         about, unit = QUANTITY_NOTES[quantity]
         say_written([output], f"{about} ({unit})", raster)

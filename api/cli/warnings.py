@@ -23,11 +23,20 @@ def say_warnings(scene: Scene, with_objects: bool = True) -> None:
         typer.echo(printable(f"skugga: warning: {text}"), err=True)
 
 
-def say_own_sun(scene: Scene, is_invented: bool = False) -> None:
-    """Which sun is taken where none was asked for, on a terminal: a picture does not show that nobody chose it. Everywhere, where
-    nobody did: the level names none, either.
+def say_reach_beside(scene: Scene, raster: RasterView) -> None:
+    """Print a warning of a raster that reaches beyond the level, where its cells are empty."""
+    from api.shade import reach_beside
+
+    if (text := reach_beside(scene, raster)) is not None:
+        typer.echo(printable(f"skugga: warning: {text}"), err=True)
+
+
+def say_own_sun(scene: Scene) -> None:
+    """Print which sun is taken where none was asked for: a picture does not show that nobody chose it.
+
+    It is printed on a terminal, and everywhere if the level names no sun, either.
     """
-    if is_invented or sys.stderr.isatty():
+    if scene.sun_is_default or sys.stderr.isatty():
         from api.report.plan_text import format_sun
 
         said = f"{scene.loaded.name} is drawn with its own light, {format_sun(scene.sun)}; --time says another"

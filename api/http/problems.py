@@ -69,9 +69,13 @@ class ProblemKind:
 
 
 def problem_kinds() -> list[ProblemKind]:
-    """All kinds of problems: of the table of ``api.errors``, and of HTTP itself. Errors that clients cannot tell apart are one."""
+    """All kinds of problems: of the table of ``api.errors``, as far as HTTP answers can have them, and of HTTP itself. Errors that
+    clients cannot tell apart are one.
+    """
     kinds: dict[tuple[int, str], ProblemKind] = {}
     for error, outcome in OUTCOMES.items():
+        if not outcome.in_http:
+            continue
         about = outcome.public or " ".join(inspect.cleandoc(error.__doc__ or "").split("\n\n")[0].split())
         kinds.setdefault((outcome.status, outcome.code), ProblemKind(outcome.status, outcome.code, about, outcome.retry_after_s))
     for status, (code, about) in OF_HTTP.items():

@@ -14,6 +14,7 @@ from typing import IO, Any, NamedTuple
 
 from api.seed.messages import Drawn
 from terrain.errors import InputError, RenderError
+from terrain.whole_files import disk_error
 
 FORMAT = 1
 """Of the table: one that is of another is refused."""
@@ -325,8 +326,8 @@ def _as_os_errors(path: Path) -> Iterator[None]:
         yield
     except sqlite3.DatabaseError as error:
         name = getattr(error, "sqlite_errorname", "")
-        if name == "SQLITE_FULL":
-            raise OSError(28, os.strerror(28), str(path)) from None
+        if name.startswith(("SQLITE_FULL", "SQLITE_IOERR")) and (refused := disk_error(path)) is not None:
+            raise refused from None
         if name.startswith(("SQLITE_NOTADB", "SQLITE_CORRUPT")):
             raise InputError("--work", str(path), "a table of tasks that is whole; delete the folder to begin anew") from None
         raise RenderError(f"{path}: {error}") from None

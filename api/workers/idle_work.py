@@ -20,7 +20,8 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 from api.exhaustion import in_thread
-from api.workers.process_life import JOIN_S, end_with_parent, give_way, process_end
+from api.workers.process_life import JOIN_S, give_way, process_end
+from terrain.compiling.parent_process import end_with_parent
 from terrain.errors import SkuggaError
 
 QUIET_S = 5.0

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from api.errors import ExhaustedError, LaterError, SetAsideError, WorkerCrashError
+from api.errors import ExhaustedError, LaterError, SetAsideError, WorkerCrashError, WorkerStartError
 from api.exhaustion import exhausted_error, in_thread
 from api.settings import Settings, cores
 from api.workers.admission import check_admission, retry_after_s
@@ -228,8 +228,9 @@ class Pool:
         """The answer to a job of a client, from memory where it is kept.
 
         Raises ``LaterError`` where the client has too much in the queue or its turn does not come in time, ``SetAsideError`` where
-        such jobs keep failing, ``GraphicsError`` where no process can be started, ``RenderTimeoutError``, ``WorkerCrashError``, and
-        what the work itself raises. A job that nobody waits for any more is dropped unless it has begun.
+        such jobs keep failing, ``WorkerStartError`` where no process gets ready, ``GraphicsError`` where none can draw,
+        ``RenderTimeoutError``, ``WorkerCrashError``, and what the work itself raises. A job that nobody waits for any more is
+        dropped unless it has begun.
 
         The answer goes by plans of the version that there was when it was asked for, or by newer ones.
         """
@@ -314,7 +315,7 @@ class Pool:
                 healthy = await self._one_process(number)
             except Exception as error:  # out of descriptors, threads or memory, or a bug: the slot outlives all of them
                 log.error("a render process's place failed, and starts another: %s: %s", type(error).__name__, error)
-                self._could_not_start(exhausted_error(error) or GraphicsError(f"a render process cannot be started: {error}"))
+                self._could_not_start(exhausted_error(error) or WorkerStartError(f"a render process cannot be started: {error}"))
                 healthy = False
             failures = 0 if healthy else failures + 1
 
@@ -487,7 +488,7 @@ class Pool:
 
 def _start_failure(error: SkuggaError) -> SkuggaError:
     """What a request is told whose process cannot be started."""
-    return error if isinstance(error, ExhaustedError) else GraphicsError(str(error))
+    return error if isinstance(error, ExhaustedError | WorkerStartError) else GraphicsError(str(error))
 
 
 def _named(job: Job) -> str:

@@ -1,20 +1,14 @@
-"""What the service knows of its processes from outside, and how they end with it. Where the system has no ``/proc`` and no
-``prctl`` (that is, not on Linux), nothing is known, and their pipe alone ends them.
+"""What the service knows of its processes from outside. Where the system has no ``/proc`` (that is, not on Linux), nothing is
+known.
 """
 
 from __future__ import annotations
 
 import asyncio
-import ctypes
 import os
-import signal
-import sys
 from contextlib import suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-
-PR_SET_PDEATHSIG = 1
-"""See prctl(2): the signal that a process gets when the one that started it ends."""
 
 NICENESS = 2
 """How far render processes stand back behind the service, which answers from its caches while they draw: see nice(2)."""
@@ -30,14 +24,6 @@ END_CHECK_S = 0.005
 
 STOPPED_STATES = "Tt"
 """Of ``/proc/PID/stat``: stopped by a signal or by a tracer."""
-
-
-def end_with_parent() -> None:
-    """Let the system kill this process as soon as its parent ends, however that ends, and whatever this one is doing then."""
-    if sys.platform != "linux":
-        return
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
 
 
 def stand_back() -> None:

@@ -57,7 +57,7 @@ from api.workers.map_jobs import HEIGHTS, drawn_map, heights_picture
 from api.workers.map_plans import plan_in_service, unprobed_class
 from api.workers.plan_basis import PlanBasis
 from api.workers.point_jobs import point_answer, points_answer
-from api.workers.process_life import end_with_parent, resident_bytes, stand_back
+from api.workers.process_life import resident_bytes, stand_back
 from api.workers.worker_main import WorkerConfig
 from selector.choices import StandaloneRequest
 from selector.select import select
@@ -71,6 +71,7 @@ from terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, PICTURES, POINTS, PRO
 from terrain.compiling.farm import missing_tasks
 from terrain.compiling.hooks import compiled_by, need
 from terrain.compiling.loop_cache import loop_store
+from terrain.compiling.parent_process import end_with_parent
 from terrain.describe import describe
 from terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.facts.descriptor import Descriptor

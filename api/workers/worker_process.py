@@ -8,13 +8,13 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any, TypeVar
 
-from api.errors import ExhaustedError, WorkerCrashError
+from api.errors import ExhaustedError, WorkerCrashError, WorkerStartError
 from api.exhaustion import exhausted_error, in_thread
 from api.workers.jobs import Answer, BlockJob, Failure, Job, Ping, Preparing, Ready
 from api.workers.plan_basis import PlanBasis
 from api.workers.process_life import JOIN_S, is_stopped, process_end
 from api.workers.spawned import Spawned
-from terrain.errors import GraphicsError, RenderTimeoutError
+from terrain.errors import RenderTimeoutError
 
 MOST_SAID = 300
 """Characters of a job in the log: descriptors are long."""
@@ -62,21 +62,22 @@ class WorkerProcess:
     async def start(self, timeout_s: float) -> Ready:
         """Start the process if it was not, and wait until it has warmed up.
 
-        Raises ``GraphicsError`` or the process's own error where it does not, and where nothing is heard of it for so long.
+        Raises ``WorkerStartError`` if it ends before that or nothing is heard of it for so long, ``ExhaustedError`` if the machine
+        has no room for it, and the process's own error if it says why it cannot draw.
         """
         if self.pid is None:
             try:
                 await asyncio.shield(self._in_new_thread(self._spawned.start))
             except OSError as error:
-                raise exhausted_error(error) or GraphicsError(f"a render process cannot be started: {error.strerror}") from None
+                raise exhausted_error(error) or WorkerStartError(f"a render process cannot be started: {error.strerror}") from None
         self._watched = self._process.sentinel
         asyncio.get_running_loop().add_reader(self._watched, self._note_death)
         try:
             answer = await self._answer(self._pipe.recv, timeout_s)
         except TimeoutError:
-            raise GraphicsError(f"a render process did not warm up within {timeout_s:g} s") from None
+            raise WorkerStartError(f"a render process did not warm up within {timeout_s:g} s") from None
         except (EOFError, OSError):
-            raise GraphicsError("a render process ended while it warmed up") from None
+            raise WorkerStartError(f"render process {self.pid} ended while it warmed up") from None
         if isinstance(answer, Failure):
             raise answer.error()
         self.basis = self.basis or PlanBasis(answer.device)

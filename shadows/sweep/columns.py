@@ -23,12 +23,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.sweep.grid import BENT_CELLS, LATTICE, RAYS_BEND_REASON
+from shadows.sweep.grid import BENT_CELLS, LATTICE, bent_rays_error, beyond_crs_error
 from shadows.sweep.points import cubic
 from shadows.sweep.rays import SunRays, rays_over
 from terrain.casters.reach import PATCH_QUADS, Casters
 from terrain.compiled import compiled, internal
-from terrain.errors import UnsupportedError
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import RELIEF
 from terrain.ground.columns import Columns, PlacedOnColumns
@@ -208,7 +207,7 @@ def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[in
             t + rays.height_m * t_rise, t_rise, light[..., 1] - rays.level_m, upwards[..., 1], -light[..., 2], -upwards[..., 2],
         ])  # fmt: skip
 
-    place, lean, zero, rise, along, along_rise = _border_cubics(along_rays, *turned.shape)
+    place, lean, zero, rise, along, along_rise = _border_cubics(along_rays, turned.shape[0], turned.shape[1], grid.crs.name)
     padded = np.pad(turned, [(0, -size % BAND_CELLS) for size in turned.shape], constant_values=NO_COLUMN)
     tops = padded.reshape(padded.shape[0] // BAND_CELLS, BAND_CELLS, -1, BAND_CELLS).max(axis=(1, 3))
     ahead = np.concatenate([[NO_COLUMN], np.maximum.accumulate(turned.max(axis=1))]).astype(np.float32)
@@ -216,11 +215,13 @@ def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[in
     return ColumnGround(detail, row0, col0, (rows, cols), found, along, along_rise)
 
 
-def _border_cubics(along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int) -> Iterator[np.ndarray]:
+def _border_cubics(
+    along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
+) -> Iterator[np.ndarray]:
     """Cubics in t (rows + 1, 4) along the borders of a turned grid's rows: the column, how far it moves aside with a metre of
     height, and four more values, of ``along_rays``: t, what a metre adds to it, and the four, at turned rows and columns.
 
-    Raises ``UnsupportedError`` where cubics cannot follow it.
+    Raises ``UnsupportedError``, which names the grid's CRS, where cubics cannot follow it.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -228,9 +229,9 @@ def _border_cubics(along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], r
     j = np.linspace(-0.5, cols - 0.5, min(cols + 1, LATTICE))
     t, t_rise, *others = along_rays(*np.meshgrid(i - 0.5, j, indexing="ij"))
     if not np.isfinite(t).all():
-        raise UnsupportedError("algorithm", "sweep", "the view reaches beyond the area of its CRS: shadow_map can serve it")
+        raise beyond_crs_error(crs_name)
     if not (np.diff(t, axis=1) > 0.0).all():
-        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
+        raise bent_rays_error(crs_name)
     degree, along = min(3, len(j) - 1), min(3, len(i) - 1)
     cubics = np.zeros((2 + len(others), len(i), 4))
     for n in range(len(i)):
@@ -243,8 +244,8 @@ def _border_cubics(along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], r
     columns = np.linspace(-0.5, cols - 0.5, 4 * LATTICE)
     exact, *_ = along_rays(*np.meshgrid(checked - 0.5, columns, indexing="ij"))
     fitted = np.stack([np.polynomial.polynomial.polyval(values, whole[0][n]) for n, values in zip(checked, exact, strict=True)])
-    if np.abs(fitted - columns).max() > BENT_CELLS:
-        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
+    if not np.abs(fitted - columns).max() <= BENT_CELLS:
+        raise bent_rays_error(crs_name)
     return iter(whole)
 
 

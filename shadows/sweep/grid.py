@@ -27,6 +27,18 @@ BENT_CELLS = 0.1
 
 RAYS_BEND_REASON = "the view is too wide, the sun's rays bend across it: shadow_map can serve it"
 
+
+def bent_rays_error(crs_name: str) -> UnsupportedError:
+    """Return the error of a view across which the sun's rays bend, in a CRS that it names."""
+    return UnsupportedError("algorithm", "sweep", f"in the CRS '{crs_name}' {RAYS_BEND_REASON}")
+
+
+def beyond_crs_error(crs_name: str) -> UnsupportedError:
+    """Return the error of a view that reaches to where its CRS has no places."""
+    reason = f"the view reaches beyond the area of its CRS '{crs_name}': shadow_map can serve it"
+    return UnsupportedError("algorithm", "sweep", reason)
+
+
 CellSize = float | tuple[float, float]
 """Sides of a cell down and right, metres; one number for both."""
 
@@ -126,10 +138,12 @@ class LineState:
         return LineState(first_cell, np.ascontiguousarray(met.reshape(cells, lines).T))
 
 
-def position_cubics(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
+def position_cubics(
+    t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
+) -> tuple[np.ndarray, np.ndarray]:
     """The cubics ``place`` and ``at`` (rows, 4) of a turned grid, with its borders, for a smooth t of turned rows and columns.
 
-    Raises ``UnsupportedError`` where cubics cannot follow it.
+    Raises ``UnsupportedError``, which names the grid's CRS, where cubics cannot follow it.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -138,9 +152,9 @@ def position_cubics(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: 
     t = t_of(*np.meshgrid(i, j, indexing="ij"))
     j = j + 1.0  # behind the left border
     if not np.isfinite(t).all():
-        raise UnsupportedError("algorithm", "sweep", "the view reaches beyond the area of its CRS: shadow_map can serve it")
+        raise beyond_crs_error(crs_name)
     if not (np.diff(t, axis=1) > 0.0).all():  # as where a view goes round half the earth
-        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
+        raise bent_rays_error(crs_name)
     columns = np.broadcast_to(j, t.shape)
     t_cubics, column_cubics = (
         make_interp_spline(i, fitted_cubics(x, y), k=min(3, len(i) - 1))(np.arange(rows)) for x, y in ((t, columns), (columns, t))
@@ -150,8 +164,8 @@ def position_cubics(t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: 
     exact = t_of(*np.meshgrid(checked_rows.astype(float), columns, indexing="ij"))
     c0, c1, c2, c3 = t_cubics[checked_rows].T[..., None]
     fitted = c0 + exact * (c1 + exact * (c2 + exact * c3))
-    if np.abs(fitted - columns - 1.0).max() > BENT_CELLS:
-        raise UnsupportedError("algorithm", "sweep", RAYS_BEND_REASON)
+    if not np.abs(fitted - columns - 1.0).max() <= BENT_CELLS:  # nor where it is no number
+        raise bent_rays_error(crs_name)
     return t_cubics, column_cubics
 
 

@@ -115,7 +115,7 @@ class SunRays:
             point, up = self.scene.world.ground(grid.crs, grid.x(col + col0), grid.y(row + row0))
             return (self.light.from_earth(point + self.height_m * up)[..., 0] - self.right_m) / (self.cell_m * 2**detail)
 
-        return position_cubics(t_of, *((cols, rows) if self.turn.swapped else (rows, cols)))
+        return position_cubics(t_of, *((cols, rows) if self.turn.swapped else (rows, cols)), self.grid.crs.name)
 
     def put_levels(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
         """Put the levels of windows' nodes into arrays (rows, cols) float32."""

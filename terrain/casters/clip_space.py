@@ -19,6 +19,9 @@ from terrain.scene import Scene
 AFFINE_PART_PX = 256
 """Side of the parts, in pixels."""
 
+MAX_BEND_PX = 1e9
+"""What ``bend_px`` is where no camera sees what the map shows: a descriptor has no infinity there."""
+
 FIT_POINTS = 9
 """So many points along a part's sides, at two heights each, that its affine camera is fitted to."""
 
@@ -68,7 +71,8 @@ def map_clip(
 def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float:
     """How far, in pixels, the affine camera of a part lies off the map at worst: over parts at the level's corners and middle.
 
-    A function of the level and the grid alone, so that neighbouring blocks are drawn alike.
+    A function of the level and the grid alone, so that neighbouring blocks are drawn alike. ``MAX_BEND_PX`` where a part reaches
+    beyond the area of the CRS.
     """
     if scene.world.flat:
         return 0.0
@@ -85,6 +89,8 @@ def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float
         frame = scene.world.frame_near(grid.crs, *view.centre)
         low, high = scene.height_range_m
         points, pixel = _samples(scene.world, frame, view, low, high + scene.objects.tallest_m, curved=True)
+        if not (np.isfinite(points).all() and np.isfinite(pixel).all()):  # it reaches to where the CRS has no places
+            return MAX_BEND_PX
         across = np.column_stack([points, np.ones(len(points))])
         affine, *_ = np.linalg.lstsq(across, pixel, rcond=None)
         worst = max(worst, float(np.linalg.norm(across @ affine - pixel, axis=1).max()))

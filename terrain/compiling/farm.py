@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 from numba.core.dispatcher import Dispatcher
 
 from terrain.compiling.loop_cache import LoopCache, loop_store
+from terrain.compiling.parent_process import end_with_parent
 from terrain.compiling.signatures import recorded_signatures
 
 LOWEST_PRIORITY = 19
@@ -48,6 +49,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("products", nargs="+")
     asked = parser.parse_args(argv)
     logging.getLogger("skugga").setLevel(logging.ERROR)  # whoever uses the store warns of it, once
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the process that waits for this one
     if asked.background:
         os.nice(LOWEST_PRIORITY)
@@ -177,6 +179,7 @@ class _Queue:
 
 def _compile_until_closed(pipe: Connection, tasks: Sequence[Task], foreign: Sequence[Connection]) -> None:
     """Compile the tasks whose numbers come from a pipe. ``foreign`` ends of pipes are inherited, and would hold them open."""
+    end_with_parent()
     for end in foreign:
         end.close()
     while True:

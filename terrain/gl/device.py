@@ -26,6 +26,7 @@ from terrain.errors import GraphicsError, NoOpenGLError  # noqa: E402
 from terrain.gl.depth_targets import DepthTargets  # noqa: E402
 from terrain.gl.egl_devices import LIBEGL, NO_OPENGL, open_context  # noqa: E402
 from terrain.gl.programs import linked, note_draw, with_constants  # noqa: E402
+from terrain.gl.shader_cache import safe_shader_cache  # noqa: E402
 from terrain.gl.stencil import Stencil  # noqa: E402
 
 _DEPTH_CLAMP = 0x864F
@@ -390,7 +391,8 @@ def device() -> Device:
         raise NoOpenGLError(str(_missing))
     if _device is None:
         try:
-            _device = Device()
+            with safe_shader_cache():
+                _device = Device()
         except NoOpenGLError as error:
             _missing = error
             raise

@@ -22,9 +22,15 @@ from terrain.scene import build_scene
 SIDE, HALF, HEIGHT_M, CELL_M = 101, 2, 60.0, 10.0
 ALTITUDE_DEG = 15.0
 AZIMUTHS_DEG = (20.0, 110.0, 200.0, 290.0)
-LENGTH_M = HEIGHT_M / np.tan(np.radians(ALTITUDE_DEG))
 WGS84 = Geod(ellps="WGS84")
 PLACES = CRS.from_user_input("OGC:CRS84")
+
+
+def shadow_length_m(radius_m: float) -> float:
+    """Return how far along a sphere the tower's shadow reaches: on a small body the ground falls away under it."""
+    sine, top_m = np.sin(np.radians(ALTITUDE_DEG)), radius_m + HEIGHT_M
+    way_m = top_m * sine - np.sqrt((top_m * sine) ** 2 - (top_m + radius_m) * HEIGHT_M)
+    return float(radius_m * np.arcsin(way_m * np.cos(np.radians(ALTITUDE_DEG)) / radius_m))
 
 
 @dataclass(frozen=True)
@@ -95,8 +101,9 @@ def fall_of(mask: np.ndarray, source: Path, crs: CRS, azimuth: float, places: CR
     far = (mask == MASK_SHADOW) & (away > 4.0 * HALF * CELL_M)
     rim = np.ones(mask.shape, bool)
     rim[1:-1, 1:-1] = False
+    length_m = shadow_length_m(geod.a)
     if not far.any():
-        return Fall(180.0, LENGTH_M, int((mask[rim] != MASK_LIT).sum()))
+        return Fall(180.0, length_m, int((mask[rim] != MASK_LIT).sum()))
     off = (bearing[far] - azimuth - 180.0 + 540.0) % 360.0 - 180.0
-    length_off_m = float(away[far].max()) - LENGTH_M - HALF * CELL_M
+    length_off_m = float(away[far].max()) - length_m - HALF * CELL_M
     return Fall(float(np.average(off, weights=away[far])), length_off_m, int((mask[rim] != MASK_LIT).sum()))

@@ -8,8 +8,10 @@ import pytest
 
 from api.cli import compiling
 from api.cli.compiling import compile_everything, compile_for_command
+from terrain.compiling import farm, loop_cache
 from terrain.compiling.ahead import PRODUCTS
 from terrain.compiling.loop_cache import loop_store
+from terrain.errors import RenderError
 
 
 @pytest.mark.parametrize(("missing", "said"), [(7, "Compiled 7 loops in "), (0, "Nothing to compile: all loops are in ")])
@@ -22,9 +24,23 @@ def test_compile_tells_how_many_loops_were_missing(monkeypatch: pytest.MonkeyPat
             progress("compiling loops for points", done, missing)
 
     monkeypatch.setattr(compiling, "compile_ahead", compile_ahead)
+    monkeypatch.setattr(farm, "missing_tasks", lambda products: [])
     sentence = compile_everything()
     assert sentence.startswith(said) and str(loop_store().folder) in sentence
     assert asked == [PRODUCTS]
+
+
+def test_compile_fails_where_nothing_can_be_stored(tmp_path, monkeypatch, full_disk) -> None:
+    """On a full disk, and where a process that compiles was killed."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "loops"))
+    monkeypatch.setattr(loop_cache, "_store", [])
+    monkeypatch.setattr(compiling, "compile_ahead", lambda products, processes, progress: progress("compiling loops", 7, 7))
+    with full_disk(1000), pytest.raises(OSError, match="large") as caught:
+        compile_everything()
+    assert caught.value.filename == str(tmp_path / "loops")
+    with pytest.raises(RenderError, match="loops are still missing"):
+        compile_everything()
+    assert not list((tmp_path / "loops").iterdir())
 
 
 @pytest.mark.long

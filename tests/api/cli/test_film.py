@@ -161,6 +161,15 @@ def test_what_is_wrong_is_one_line_before_a_frame_is_drawn(run, folder, monkeypa
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
+def test_a_sun_that_nobody_chose_is_said(gl, run, folder):
+    """Of a level that names none, also where nobody looks on: of pictures, and of films that do not say when."""
+    (folder / "bare.yaml").write_text(json.dumps({key: value for key, value in LEVEL.items() if key != "sun"}))
+    for more in (("-o", "bare.png"), (*CLOCK, "--view", "eye", "-o", "bare.webp")):
+        for level, is_said in (("bare", True), ("floor", False)):
+            status, _, err = run("render", f"{level}.yaml", "--size", "64x48", *more)
+            assert status == 0 and ("skugga: bare is drawn with its own light, the sun " in err) == is_said, err
+
+
 def test_each_wrong_key_of_a_camera_is_a_line(run, folder):
     (folder / "camera.yaml").write_text(json.dumps({"keys": [KEYS[0], KEYS[1] | {"at": "soon", "eye": [1, 2]}]}))
     status, _, err = run("render", "floor.yaml", "--path", "camera.yaml", "-o", "film.webp")

@@ -184,6 +184,20 @@ def test_what_nobody_foresaw_is_one_line_too(run, tmp_path, monkeypatch):
     assert status == 1 and err.count("\n") == 1 and "ZeroDivisionError" in err and "--debug" in err
 
 
+@pytest.mark.parametrize(
+    ("ended_by", "expected"), [(SystemExit(143), (143, "")), (KeyboardInterrupt(), (1, "skugga: interrupted\n"))]
+)
+def test_a_signal_that_meets_a_compiled_loop_ends_in_order(run, tmp_path, monkeypatch, ended_by, expected):
+    """Numba's dispatchers return with the signal's exception set, which Python tells as an error of its own."""
+
+    def interrupted(*_: object) -> None:
+        raise SystemError("returned a result with an exception set") from ended_by
+
+    monkeypatch.setattr("api.cli.snapshot.render_frame", interrupted)
+    status, _, err = run("render", "jacksboro", *SMALL, "--azimuth", "200", "--altitude", "30", "-o", str(tmp_path / "x.png"))
+    assert (status, err) == expected
+
+
 def test_levels_and_validate(run):
     status, out, _ = run("levels", "--json")
     rows = {row["name"]: row for row in json.loads(out)}

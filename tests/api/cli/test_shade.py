@@ -65,6 +65,40 @@ def test_wrong_input(run, raster, tmp_path, monkeypatch, options, words):
     assert [path.name for path in tmp_path.iterdir()] == ["dem.tif"]
 
 
+COMMANDS = ("shade", "--azimuth", "200", "--altitude", "30"), ("sunhours", "--date", "2024-03-21", "--step", "1h")
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
+@pytest.mark.parametrize(
+    ("crs", "corner", "cell", "meets"),
+    [
+        ("EPSG:32633", (500e3, 5200e3), 30.0, "within"),
+        ("EPSG:32633", (500e3 - 20.0, 5200e3 + 20.0), 30.0, "within"),  # less than a cell
+        ("EPSG:32633", (499.1e3, 5200e3), 30.0, "in part"),
+        ("EPSG:32633", (503.6e3, 5200e3), 30.0, "not"),
+        ("EPSG:4326", (15.001, 46.952), 3e-4, "within"),
+        ("EPSG:4326", (375.001, 46.952), 3e-4, "within"),  # a turn further
+        ("EPSG:4326", (15.03, 46.952), 3e-4, "in part"),
+        ("EPSG:4326", (-15.0, 46.952), 3e-4, "not"),
+    ],
+)
+def test_like_tells_where_it_does_not_meet_the_level(run, raster, tmp_path, command, crs, corner, cell, meets):
+    """A raster of 60 x 60 cells, of which the level's first one has 90 x 120."""
+    like, output = write_geotiff(tmp_path / "like.tif", np.zeros((60, 60), np.uint8), crs, *corner, cell), tmp_path / "out.tif"
+    status, _, err = run(command[0], str(raster), *command[1:], "--like", str(like), "-o", str(output))
+    assert output.exists() == (meets != "not")
+    if meets == "within":
+        assert (status, err) == (0, "")
+        return
+    west, north = corner
+    extents = f"{west:.9g},{north - 60 * cell:.9g},{west + 60 * cell:.9g},{north:.9g}", ("500000,5197300,503600,5200000")
+    assert err.count("\n") == 1 and extents[0] in err and (extents[1] in err or crs == "EPSG:4326")
+    assert (status, "skugga: warning: " in err) == ((2, False) if meets == "not" else (0, True))
+    if meets == "in part":
+        with rasterio.open(output) as dataset:
+            assert 0.0 < dataset.dataset_mask().astype(bool).mean() < 1.0
+
+
 def test_times_from_to_by_steps():
     suns = suns_of(None, None, "2024-03-21T08:00+01:00", "2024-03-21T09:00+01:00", "15m")
     assert [sun.time.isoformat() for sun in suns if sun] == [f"2024-03-21T08:{m:02}:00+01:00" for m in (0, 15, 30, 45)] + [

@@ -20,6 +20,13 @@ X, Y = CORNER
 SOON_S = 30.0
 
 
+def until(is_true: Callable[[], bool]) -> None:
+    end = time.monotonic() + SOON_S
+    while not is_true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
 def tile(x: int = X, y: int = Y) -> str:
     return f"/levels/hills/tiles/WebMercatorQuad/{ZOOM}/{x}/{y}.png"
 
@@ -117,6 +124,25 @@ def test_a_service_that_cannot_draw(serve_with):
     assert "secret" not in problem["detail"] and "libEGL" not in problem["detail"]
     check_problem(client.get("/readyz"), 503, "not_ready", None)
     assert client.get("/healthz").status_code == 200
+
+
+def test_a_process_killed_while_it_warms_up_is_started_again(serve_with):
+    """The death of a process says nothing about OpenGL."""
+    go = get_context("spawn").Semaphore(0)
+    client = serve_with(functools.partial(fake_workers.compiling, go=go))
+    until(lambda: client.service.pool.preparing.task == "compiling loops for map tiles")
+    with ThreadPoolExecutor(1) as thread:
+        waiting = thread.submit(client.get, tile())
+        until(lambda: client.service.pool.queued == 1)
+        (worker,) = client.service.pool._workers
+        os.kill(worker.pid, signal.SIGKILL)
+        answer = waiting.result()
+    problem = check_problem(answer, 503, "worker_start", None)
+    assert "OpenGL" not in problem["detail"] and "started again" in problem["detail"]
+    assert int(answer.headers["retry-after"]) >= 1
+    go.release()
+    until(lambda: client.get("/readyz").status_code == 200)
+    assert client.get(tile()).status_code == 200
 
 
 def test_a_service_with_another_renderer_than_expected_does_not_draw(serve_with):

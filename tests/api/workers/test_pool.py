@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from api.errors import WorkerCrashError
+from api.errors import WorkerCrashError, WorkerStartError
 from api.settings import Settings
 from api.workers import background_compile
 from api.workers.jobs import BlockJob, BlockTiles, LevelKey, PlanAnswer, PlanJob, Preparing
@@ -347,12 +347,12 @@ def test_processes_are_recycled():
     with_pool(scenario, recycle_blocks=2)
 
 
-@pytest.mark.parametrize("target", [fake_workers.unable, fake_workers.stillborn])
-def test_a_pool_that_cannot_start_says_so(target):
+@pytest.mark.parametrize(("target", "error"), [(fake_workers.unable, GraphicsError), (fake_workers.stillborn, WorkerStartError)])
+def test_a_pool_that_cannot_start_says_so(target, error):
     async def scenario(pool: Pool) -> None:
-        with pytest.raises(GraphicsError):
+        with pytest.raises(error):
             await pool.run(order("waits for the first start"))
-        with pytest.raises(GraphicsError):
+        with pytest.raises(error):
             await pool.run(order("comes later"))
         assert not pool.ready
 
@@ -361,7 +361,7 @@ def test_a_pool_that_cannot_start_says_so(target):
 
 def test_a_start_that_never_ends_is_given_up():
     async def scenario(pool: Pool) -> None:
-        with pytest.raises(GraphicsError, match="warm up"):
+        with pytest.raises(WorkerStartError, match="warm up"):
             await pool.run(order("map"))
 
     with_pool(scenario, fake_workers.never_ready, start_timeout_s=0.5)

@@ -265,7 +265,9 @@ child = subprocess.Popen([sys.executable, "-c", sys.argv[1]], stdout=subprocess.
 print(child.pid, child.stdout.readline().strip(), flush=True)
 sys.stdin.read()
 """
-CHILD = "from api.workers.process_life import end_with_parent; end_with_parent(); print('busy', flush=True)\nwhile True: pass"
+CHILD = (
+    "from terrain.compiling.parent_process import end_with_parent; end_with_parent(); print('busy', flush=True)\nwhile True: pass"
+)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's own")

@@ -276,7 +276,7 @@ def test_all_ground_has_a_horizon_beside_holes_too(azimuth):
 def test_lines_that_close_up_and_spread_run_where_their_cubics_do():
     """A plane is lit. Columns a cell's width wide in the middle alone: runs of lines are not straight there."""
     rows, cols = 60, 1200
-    place, at = position_cubics(lambda i, j: (j - 600.0) * (1.0 + 4e-5 * (j - 600.0)) - 0.6 * i, rows, cols)
+    place, at = position_cubics(lambda i, j: (j - 600.0) * (1.0 + 4e-5 * (j - 600.0)) - 0.6 * i, rows, cols, "")
     row, col = np.mgrid[:rows, : cols + 2].astype(float)
     level = (30.0 * ((col - 601.0) * (1.0 + 4e-5 * (col - 601.0)) - 0.6 * row) + 2.0 * row).astype(np.float32)
     lit, _, _ = sweep_nodes(TurnedGrid(level, place, at, HIGHER_DIAGONALS), 8, (-500.0, 600.0), rows=(0, rows))
@@ -293,14 +293,14 @@ def test_horizons_of_strips_are_those_of_the_whole(monkeypatch):
 
 
 def test_rays_too_bent_for_the_lines_are_refused():
-    place, at = position_cubics(lambda i, j: j + 0.3 * i + 1e-5 * i * j, 200, 300)
+    place, at = position_cubics(lambda i, j: j + 0.3 * i + 1e-5 * i * j, 200, 300, "")
     assert np.allclose(place[100, 0] + place[100, 1] * (at[100, 0] + 50 * at[100, 1]), 50.0, atol=1e-3)
     with pytest.raises(UnsupportedError, match="shadow_map"):
-        position_cubics(lambda i, j: j + 20.0 * np.sin(i / 9.0 + j / 11.0), 200, 300)
+        position_cubics(lambda i, j: j + 20.0 * np.sin(i / 9.0 + j / 11.0), 200, 300, "")
     with pytest.raises(UnsupportedError, match="CRS"):
-        position_cubics(lambda i, j: np.where(j > 100, np.nan, j), 200, 300)
+        position_cubics(lambda i, j: np.where(j > 100, np.nan, j), 200, 300, "")
     with pytest.raises(UnsupportedError, match="shadow_map"):
-        position_cubics(lambda i, j: np.abs(j - 150.0), 200, 300)
+        position_cubics(lambda i, j: np.abs(j - 150.0), 200, 300, "")
 
 
 def test_the_mask_is_written_nowhere_else():

@@ -6,6 +6,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -148,3 +150,33 @@ def test_a_store_that_cannot_be_written_compiles_nothing_ahead(tmp_path: Path, m
     steps: list[int] = []
     compile_ahead(["points"], 1, lambda task, done, total: steps.append(done))
     assert steps == []
+
+
+KILLED = """
+from terrain.compiling.ahead import PRODUCTS, compile_ahead
+farms = []
+compile_ahead(PRODUCTS, 2, lambda task, done, total: print(farms[0], flush=True), on_start=lambda farm: farms.append(farm.pid))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's own")
+def test_what_compiles_ends_with_a_command_that_is_killed(tmp_path: Path) -> None:
+    """It and its children compiled on, for most of a minute, with nobody to wait for it."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path), "SKUGGA_TEST_RUN": str(tmp_path)}
+    with subprocess.Popen([sys.executable, "-c", KILLED], env=environment, stdout=subprocess.PIPE, text=True) as command:
+        assert command.stdout is not None and int(command.stdout.readline()) in processes_of(tmp_path)
+        command.kill()
+    until_s = time.monotonic() + 10.0
+    while processes_of(tmp_path):
+        assert time.monotonic() < until_s, "they outlived the command"
+        time.sleep(0.05)
+
+
+def processes_of(run: Path) -> list[int]:
+    """Processes that have the environment of a run."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        with suppress(OSError):
+            if entry.name.isdigit() and f"SKUGGA_TEST_RUN={run}".encode() in (entry / "environ").read_bytes():
+                found.append(int(entry.name))
+    return found

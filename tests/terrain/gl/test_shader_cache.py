@@ -1,0 +1,98 @@
+"""Mesa's cache of shaders on a disk that is full."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from terrain.gl.shader_cache import DISABLE, safe_shader_cache
+
+MESA_INDEX_BYTES = 1_310_728
+
+
+@pytest.fixture
+def index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An index that is all holes, as Mesa makes it."""
+    monkeypatch.setenv(DISABLE, "false")
+    monkeypatch.setenv("MESA_SHADER_CACHE_DIR", str(tmp_path))
+    path = tmp_path / "mesa_shader_cache" / "index"
+    path.parent.mkdir()
+    with path.open("wb") as file:
+        file.truncate(MESA_INDEX_BYTES)
+    return path
+
+
+def test_an_index_has_no_holes(index: Path):
+    assert index.stat().st_blocks * 512 < MESA_INDEX_BYTES
+    with index.open("r+b") as file:
+        file.write(b"kept")
+    with safe_shader_cache():
+        assert index.stat().st_blocks * 512 >= MESA_INDEX_BYTES == index.stat().st_size
+    assert index.read_bytes()[:5] == b"kept\0" and os.environ[DISABLE] == "false"
+
+
+def test_an_index_that_opening_made_has_no_holes(index: Path):
+    index.unlink()
+    with safe_shader_cache(), index.open("wb") as file:
+        file.truncate(MESA_INDEX_BYTES)
+    assert index.stat().st_blocks * 512 >= MESA_INDEX_BYTES
+
+
+def test_a_disk_without_room_for_an_index_has_no_shader_cache(index: Path, full_disk):
+    index.unlink()
+    with full_disk(1000), safe_shader_cache():
+        assert os.environ[DISABLE] == "true"
+    assert list(index.parent.iterdir()) == []
+
+
+def test_a_disk_without_room_for_the_holes_has_no_shader_cache(index: Path, monkeypatch: pytest.MonkeyPatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with safe_shader_cache():
+        assert os.environ[DISABLE] == "true"
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 2 MiB with nothing free."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "skugga-test", disk], capture_output=True, text=True)
+    if mounted.returncode:
+        pytest.skip(f"no file system can be mounted here: {mounted.stderr.strip()}")
+    try:
+        with pytest.raises(OSError, match="No space"), (disk / "all").open("wb", buffering=0) as file:
+            while True:
+                file.write(bytes(4096))
+        yield disk
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+PROGRAMS = """
+import moderngl
+from terrain.gl.device import device
+context = device().ctx
+for number in range(40):
+    main = f"#version 330\\nvoid main() {{ gl_Position = vec4({number}.0); }}"
+    array = context.vertex_array(context.program(vertex_shader=main, fragment_shader="#version 330\\nvoid main() {}"), [])
+    context.simple_framebuffer((4, 4)).use()
+    array.render(vertices=3)
+context.finish()
+"""
+
+
+def test_a_process_draws_while_the_cache_s_disk_is_full(gl, small_disk: Path):
+    """Mesa's own index of holes ended it: 40 shaders are 40 places in the index."""
+    (small_disk / "all").write_bytes(bytes(2**21 - 2**16))  # enough for folders, and for a file of holes
+    environment = {**os.environ, "MESA_SHADER_CACHE_DIR": str(small_disk)}
+    done = subprocess.run([sys.executable, "-c", PROGRAMS], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, (done.returncode, done.stderr)
