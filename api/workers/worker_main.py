@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
-from api.settings import Settings, cores
+from api.settings import Settings
+from terrain.cores import usable_cores
 
 if TYPE_CHECKING:
     from api.workers.plan_basis import PlanBasis
@@ -31,7 +32,7 @@ class WorkerConfig:
 def first_config(settings: Settings) -> WorkerConfig:
     """Return what the first render process of a service is told."""
     return WorkerConfig(
-        gl_threads=max(cores() // settings.workers, 1),
+        gl_threads=max(usable_cores() // settings.workers, 1),
         expect_renderer=settings.expect_renderer,
         most_ms=settings.render_timeout_s * 1000.0,
     )
