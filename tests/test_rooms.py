@@ -132,8 +132,8 @@ MAY_IMPORT = {
     "api.workers": "device_calibration errors exhaustion layers map_probing picture_cost point settings sun_hours_layer",
     "api.library": "catalogue device_calibration film_span layers point raster_file shade shade_layers sun_hours",
     "api.animations": "errors exhaustion film_files settings workers",
-    "api.matrices": "errors workers",
-    "api.seed": "catalogue device_calibration errors file_stamps layers matrices settings workers",
+    "api.matrices": "errors",
+    "api.seed": "catalogue device_calibration errors file_stamps layers matrices workers",
     "api.http": (
         "animations color_scale errors exhaustion file_stamps film_span layers matrices point settings shadow_parameters "
         "sun_hours_layer workers"

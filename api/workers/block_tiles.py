@@ -12,9 +12,8 @@ from api.layers import LAYERS, MapFormat, encode_picture, encoded_heights, geoti
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from terrain.cache import MIB, cached
 from terrain.errors import InputError
-from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.geo.grid import BLOCK_PX, TILE_PX, MapView
 
-TILE_PX = 256
 BLOCK_TILES = BLOCK_PX // TILE_PX
 
 LOSSY_QUALITY = 90

@@ -40,7 +40,8 @@ from api.workers.plan_basis import PlanBasis
 from api.workers.process_life import is_stopped
 from api.workers.set_aside import SetAside
 from api.workers.spawned import Spawned, WorkerTarget
-from api.workers.worker_main import first_config, worker_main
+from api.workers.worker_config import first_config
+from api.workers.worker_main import worker_main
 from api.workers.worker_process import WorkerProcess
 from terrain.cache import Cache, Missing
 from terrain.cores import usable_cores

@@ -7,7 +7,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
 from api.workers.process_life import JOIN_S
-from api.workers.worker_main import WorkerConfig
+from api.workers.worker_config import WorkerConfig
 
 WorkerTarget = Callable[[Connection, WorkerConfig], None]
 
