@@ -85,9 +85,8 @@ def _forked_render_processes(_own_cache: None, pytestconfig: pytest.Config) -> I
     with pytest.MonkeyPatch.context() as patch:
         forkserver = get_context("forkserver")
         forkserver.set_forkserver_preload(["tests.api.workers.fake_workers", "api.workers.warm_up", "api.workers.render_worker"])
-        for name in ("api.workers.spawned", "api.workers.idle_work"):
-            if module := sys.modules.get(name):
-                patch.setattr(module, "get_context", lambda method: forkserver)
+        if module := sys.modules.get("api.workers.spawned"):
+            patch.setattr(module, "get_context", lambda method: forkserver)
         yield
 
 
