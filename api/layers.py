@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 PASS_LAYERS: frozenset[PassLayer] = frozenset(get_args(PassLayer))
 """Layers that an algorithm leaves behind, if it is told beforehand to keep them."""
 
+LOSSY_QUALITY = 90
+"""Of JPEG, and of WebP where a map is to be looked at and not to be computed with."""
+
 PictureFormat = Literal["png", "webp", "jpg"]
 MEDIA_TYPES: dict[PictureFormat, str] = {"png": "image/png", "webp": "image/webp", "jpg": "image/jpeg"}
 """Formats of pictures over HTTP."""
@@ -326,7 +329,7 @@ def encode_picture(array: np.ndarray, suffix: str) -> bytes:
     if suffix == ".webp":
         image.save(out, "WEBP", lossless=True, method=1, exact=True)
     elif suffix in (".jpg", ".jpeg"):
-        image.convert("RGB").save(out, "JPEG", quality=92)
+        image.convert("RGB").save(out, "JPEG", quality=LOSSY_QUALITY)
     else:
         raise InputError("format", suffix, "png, webp, jpg")
     return out.getvalue()

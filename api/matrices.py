@@ -10,9 +10,8 @@ from morecantile import tms as registered
 from pyproj import CRS
 
 from api.errors import NotServedError
-from api.workers.block_tiles import TILE_PX
 from terrain.cache import MIB, cached
-from terrain.geo.grid import MapView, crs_of_tiles, step_at_anchor_m, tile_grid
+from terrain.geo.grid import TILE_PX, MapView, crs_of_tiles, step_at_anchor_m, tile_grid
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transformer
 from terrain.scene import Scene
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +9,7 @@ from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from terrain.cores import usable_cores
 from terrain.errors import Fault, InputError
 from terrain.gl.egl_devices import AUTO_DEVICE, read_setting
 
@@ -17,14 +17,9 @@ MAX_DEFAULT_WORKERS = 4
 """Render processes that are started unasked at most: with a software rasteriser each takes about 1.5 GB."""
 
 
-def cores() -> int:
-    """CPU cores that this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def default_workers() -> int:
     """One render process per core: answering takes little, and processes draw more blocks than a rasteriser's threads."""
-    return min(cores(), MAX_DEFAULT_WORKERS)
+    return min(usable_cores(), MAX_DEFAULT_WORKERS)
 
 
 class Settings(BaseSettings):

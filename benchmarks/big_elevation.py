@@ -34,8 +34,9 @@ from api.matrices import zoom_range
 from api.overviews import make_overviews, missing_overviews
 from api.shade import raster_view, write_shade
 from api.workers.jobs import BlockJob, LevelKey, PictureRequest, Tiles
-from api.workers.render_worker import WorkerState, run_job, tiles_view
+from api.workers.render_worker import run_job
 from api.workers.warm_up import warm_up
+from api.workers.worker_state import WorkerState, tiles_view
 from benchmarks.big_rasters import EPSG, MIDDLE_XY, make_rasters, mountain_xy, paths_in
 from selector.select import plan_of_view
 from shadows.render import render_frame

@@ -23,10 +23,10 @@ from api.seed.planning import PlannedRun, SeedRequest, plan_run
 from api.seed.run_spec import MATRIX_SET
 from api.seed.running import task_of
 from api.seed.task_table import TaskTable
-from api.workers.block_tiles import BLOCK_TILES, TILE_PX, encoded_part
+from api.workers.block_tiles import BLOCK_TILES, encoded_part
 from api.workers.drawn_blocks import block_of_grid, drawn_block
 from terrain.cache import clear_caches
-from terrain.geo.grid import tile_grid
+from terrain.geo.grid import TILE_PX, tile_grid
 from terrain.level.level import load_level
 from terrain.level.level_source import LevelSource
 from terrain.scene import Scene, build_scene

@@ -62,8 +62,9 @@ def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[f
     from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevels
     from api.matrices import OVERZOOMS
     from api.workers.jobs import PictureRequest
-    from api.workers.render_worker import WorkerState, run_job
+    from api.workers.render_worker import run_job
     from api.workers.warm_up import warm_up
+    from api.workers.worker_state import WorkerState
     from terrain.level.parts import SunSpec
 
     state = WorkerState(warm_up())
@@ -135,7 +136,8 @@ def sun_hours(rasters: Sequence[Path], folder: Path) -> None:
     from api.http.served_levels import ServedLevels
     from api.sun_hours_layer import SunHoursQuery
     from api.workers.jobs import SunHoursJob
-    from api.workers.render_worker import WorkerState, run_job
+    from api.workers.render_worker import run_job
+    from api.workers.worker_state import WorkerState
 
     for raster in rasters[:2]:
         for quantity in ("hours", "first", "longest"):

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from terrain.interpolation import smoothstep
+
 Ramp = tuple[tuple[float, str], ...]
 
 SNOW_LINE_M = (
@@ -51,7 +53,7 @@ LATITUDES = 181
 def climate_srgb(own: Ramp, heights_m: np.ndarray) -> np.ndarray:
     """sRGB colours (``LATITUDES``, n, 3) in [0, 1] of ground of some heights (n,), where a style has its ``own`` ramp."""
     latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDES)))[:, None]
-    on_land, ground = _smooth((heights_m - SEA_FLOOR_M[0]) / np.ptp(SEA_FLOOR_M)), ramp_srgb(own, heights_m)[None]
+    on_land, ground = smoothstep((heights_m - SEA_FLOOR_M[0]) / np.ptp(SEA_FLOOR_M)), ramp_srgb(own, heights_m)[None]
     for ramp, share in ((ARID, _arid(latitude)), (TUNDRA, _tundra(latitude)), (ICE, _ice(latitude, heights_m))):
         ground = ground + (on_land * share)[..., None] * (ramp_srgb(ramp, heights_m) - ground)
     return ground
@@ -69,20 +71,15 @@ def snow_line_m(latitude_deg: np.ndarray) -> np.ndarray:
 
 
 def _ice(latitude_deg: np.ndarray, heights_m: np.ndarray) -> np.ndarray:
-    return _smooth(0.5 + 0.5 * (heights_m - snow_line_m(latitude_deg)) / ICE_EDGE_M)
+    return smoothstep(0.5 + 0.5 * (heights_m - snow_line_m(latitude_deg)) / ICE_EDGE_M)
 
 
 def _arid(latitude_deg: np.ndarray) -> np.ndarray:
     (rises, full), (falls, none) = ARID_DEG
     away = np.abs(latitude_deg)
-    return MOST_ARID * _smooth((away - rises) / (full - rises)) * _smooth((none - away) / (none - falls))
+    return MOST_ARID * smoothstep((away - rises) / (full - rises)) * smoothstep((none - away) / (none - falls))
 
 
 def _tundra(latitude_deg: np.ndarray) -> np.ndarray:
-    shares = [_smooth((latitude_deg - begins) / (ends - begins)) for begins, ends in TUNDRA_DEG]
+    shares = [smoothstep((latitude_deg - begins) / (ends - begins)) for begins, ends in TUNDRA_DEG]
     return np.maximum(*shares)
-
-
-def _smooth(share: np.ndarray) -> np.ndarray:
-    share = np.clip(share, 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)

@@ -1,9 +1,9 @@
-"""The decorator of compiled loops; and rows of a picture shared out to all cores."""
+"""The decorators of compiled loops; and work shared out to cores."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ParamSpec, TypeVar
 
@@ -12,15 +12,13 @@ from numba.core.dispatcher import Dispatcher
 
 from terrain.compiling.internal import InternalCompiler, hide_from_python
 from terrain.compiling.loop_cache import LoopCache
+from terrain.cores import usable_cores
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
 
-CORES = (
-    int(os.environ.get("NUMBA_NUM_THREADS", "0"))
-    or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
-    or 1
-)
+CORES = int(os.environ.get("NUMBA_NUM_THREADS", "0")) or usable_cores()
 """Threads of a process that its loops are shared out to."""
 
 ROW_SHARES = 3
@@ -69,6 +67,18 @@ def in_shares(rows: int, loop: Callable[..., Any], *args: Any) -> None:
     shares = [(first, last) for first, last in zip(ends, ends[1:], strict=False) if last > first]
     for share in [_threads().submit(loop, first, last, *args) for first, last in shares]:
         share.result()
+
+
+def on_cores(work: Callable[[T], R], parts: Iterable[T], cores: int = CORES) -> list[R]:
+    """Return ``work(part)`` of all parts, done on several cores; on one, in this thread.
+
+    Use ``in_shares`` for the rows of a loop. Here the caller cuts the parts, and the threads end with the call: work may itself
+    call ``in_shares``.
+    """
+    if cores == 1:
+        return [work(part) for part in parts]
+    with ThreadPoolExecutor(cores) as threads:
+        return list(threads.map(work, parts))
 
 
 _pool: list[ThreadPoolExecutor] = []

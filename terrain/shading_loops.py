@@ -11,6 +11,7 @@ import numpy as np
 
 from terrain.compiled import compiled, internal
 from terrain.gbuffer.resolve import FOREST, RELIEF
+from terrain.interpolation_loops import smoothstep_of
 from terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M
 
 SHOULDER, SHOULDER_LEFT = 0.6, 0.4
@@ -78,8 +79,7 @@ def dusk_of(sine):
     if sine > HIGH_SUN_SINE:
         return 1.0
     altitude = np.degrees(np.arcsin(min(max(sine, -1.0), 1.0)))
-    share = min(max((altitude + 12.0) / 18.0, 0.0), 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    return smoothstep_of((altitude + 12.0) / 18.0)
 
 
 @compiled

@@ -24,6 +24,7 @@ import numpy as np
 
 from terrain.compiled import compiled, in_shares
 from terrain.geo.camera import PerspectiveView
+from terrain.interpolation import smoothstep
 from terrain.scene import Scene
 from terrain.shading_loops import dusk_of
 
@@ -86,8 +87,8 @@ def sky_of(scene: Scene) -> Sky:
     altitude_deg = -90.0 if scene.sun is None else scene.sun.altitude_deg
     sine = np.sin(np.radians(altitude_deg))
     light, cover = 0.02 + 0.98 * float(dusk_of(sine)), scene.loaded.level.weather.cloud_cover
-    low = _smooth((LOW_SUN_DEG[1] - altitude_deg) / (LOW_SUN_DEG[1] - LOW_SUN_DEG[0]))
-    low *= _smooth(1.0 + min(altitude_deg, 0.0) / TWILIGHT_DEG)
+    twilight = float(smoothstep(1.0 + min(altitude_deg, 0.0) / TWILIGHT_DEG))
+    low = float(smoothstep((LOW_SUN_DEG[1] - altitude_deg) / (LOW_SUN_DEG[1] - LOW_SUN_DEG[0]))) * twilight
     grey, horizon = np.array(CLOUDY_SKY), np.array(SKY_HORIZON)
     reddened = _sunlight_color(altitude_deg)
     lit = reddened / reddened.max()
@@ -96,7 +97,7 @@ def sky_of(scene: Scene) -> Sky:
         return ((1.0 - cover) * (horizon + (lit - horizon) * low * share) + cover * grey) * light
 
     zenith = ((1.0 - cover) * np.array(SKY_ZENITH) * (1.0 - DEEP_ZENITH * low) + cover * grey) * light
-    aureole = (1.0 - cover) * _smooth(1.0 + min(altitude_deg, 0.0) / TWILIGHT_DEG)
+    aureole = (1.0 - cover) * twilight
     fall = np.array(DAY_FALL) + (np.array(LOW_FALL) - np.array(DAY_FALL)) * low
     sun = np.array([sine, np.sqrt(max(1.0 - sine * sine, 0.0))])
     return Sky(foot(1.0), foot(OPPOSITE), zenith, np.sqrt(lit) * light, aureole, fall, sun)
@@ -224,8 +225,3 @@ def _sunlight_color(altitude_deg: float) -> np.ndarray:
     altitude = max(altitude_deg, 0.0)
     mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
     return np.exp(-SCATTERED_ONCE * min(mass, MOST_AIR_MASS) * np.array(AIR_DEPTH))
-
-
-def _smooth(share: float) -> float:
-    share = min(max(share, 0.0), 1.0)
-    return share * share * (3.0 - 2.0 * share)

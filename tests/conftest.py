@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from api.settings import cores
 from terrain.compiling.ahead import PRODUCTS, compile_ahead
 from terrain.compiling.loop_cache import loop_store
+from terrain.cores import usable_cores
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
@@ -36,7 +36,7 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 def pytest_configure(config: pytest.Config) -> None:
     """Compile all loops in parallel before the first test of a run in several processes, which would compile the same ones."""
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
-        compile_ahead(PRODUCTS, cores())
+        compile_ahead(PRODUCTS, usable_cores())
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -85,9 +85,8 @@ def _forked_render_processes(_own_cache: None, pytestconfig: pytest.Config) -> I
     with pytest.MonkeyPatch.context() as patch:
         forkserver = get_context("forkserver")
         forkserver.set_forkserver_preload(["tests.api.workers.fake_workers", "api.workers.warm_up", "api.workers.render_worker"])
-        for name in ("api.workers.spawned", "api.workers.idle_work"):
-            if module := sys.modules.get(name):
-                patch.setattr(module, "get_context", lambda method: forkserver)
+        if module := sys.modules.get("api.workers.spawned"):
+            patch.setattr(module, "get_context", lambda method: forkserver)
         yield
 
 

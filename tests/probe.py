@@ -22,8 +22,9 @@ from api.layers import encode_picture, picture_layer
 from api.settings import Settings
 from api.workers.block_tiles import PicturedBlock, encoded_tiles
 from api.workers.jobs import BlockJob, BlockTiles, DescribedPlanJob, DescriptorJob, Ping, PlanAnswer, PlanJob, Pong, Ready, Snapshot
-from api.workers.render_worker import WorkerState, run_job
-from api.workers.worker_main import WorkerConfig
+from api.workers.render_worker import run_job
+from api.workers.worker_config import WorkerConfig
+from api.workers.worker_state import WorkerState
 from selector.candidates import name_of
 from shadows.maps.settings import ShadowMapSettings
 from terrain.describe import describe

@@ -20,6 +20,9 @@ LEAVES = {
     "terrain.compiled",
     "terrain.compiling",
     "terrain.cache",
+    "terrain.cores",
+    "terrain.interpolation",
+    "terrain.interpolation_loops",
     "terrain.srgb",
     "terrain.user_cache",
     "terrain.whole_files",
@@ -98,6 +101,7 @@ MAY_IMPORT = {
     "selector.select": "choices cost measure planner predict seen",
     "selector.replanning": "choices cost formatting planner portfolio select",
     "selector.film": "film_request formatting replanning",
+    "api.archive_format": "",
     "api.errors": "",
     "api.png": "",
     "api.terrain_encodings": "",
@@ -129,11 +133,11 @@ MAY_IMPORT = {
     "api.workers": "device_calibration errors exhaustion layers map_probing picture_cost point settings sun_hours_layer",
     "api.library": "catalogue device_calibration film_span layers point raster_file shade shade_layers sun_hours",
     "api.animations": "errors exhaustion film_files settings workers",
-    "api.matrices": "errors workers",
-    "api.seed": "catalogue device_calibration errors file_stamps layers matrices settings workers",
+    "api.matrices": "errors",
+    "api.seed": "archive_format catalogue device_calibration errors file_stamps layers matrices workers",
     "api.http": (
-        "animations color_scale errors exhaustion file_stamps film_span layers matrices point settings shadow_parameters "
-        "sun_hours_layer workers"
+        "animations archive_format color_scale errors exhaustion file_stamps film_span layers matrices point settings "
+        "shadow_parameters sun_hours_layer workers"
     ),
     "api.cli": (
         "catalogue device_calibration errors file_stamps film_files film_span http layers level_summary map_probing matrices "

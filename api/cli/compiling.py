@@ -8,8 +8,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from api.cli.progress import Advance, ProgressBar
-from api.settings import cores
 from terrain.compiling.ahead import PRODUCTS, compile_ahead
+from terrain.cores import usable_cores
 from terrain.errors import RenderError
 from terrain.whole_files import disk_error
 
@@ -27,7 +27,7 @@ def compile_for_command(products: Sequence[str]) -> int:
                 bars.append(stack.enter_context(ProgressBar(f"First run: {task}")))
             bars[0](done, total)
 
-        compile_ahead(products, cores(), report)
+        compile_ahead(products, usable_cores(), report)
     return total_loops
 
 

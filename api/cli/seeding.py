@@ -27,10 +27,10 @@ from api.seed.running import TaskEnd
 from api.seed.seeding import Seeded, draw_and_publish, look_for_lost_shards
 from api.seed.storage import ShardStore, store_at
 from api.seed.task_table import TaskTable
-from api.settings import cores
 from api.workers.block_tiles import BLOCK_TILES
 from api.workers.jobs import RequestedSettings
 from selector.formatting import format_duration
+from terrain.cores import usable_cores
 from terrain.errors import InputError
 from terrain.level.algorithm_names import served_algorithms
 from terrain.level.level import parse_algorithm, parse_sun
@@ -114,7 +114,7 @@ class _Workers:
     """What draws, here or on a cluster, by the options: render processes that warm up until a run is begun."""
 
     def __init__(self, options: SeedOptions) -> None:
-        self._count, self._scheduler = options.workers or cores(), options.scheduler
+        self._count, self._scheduler = options.workers or usable_cores(), options.scheduler
         self._warm: LocalPool | DaskCluster | None = None
 
     def warm_up(self) -> None:
@@ -162,7 +162,7 @@ def _outlook(table: TaskTable, run: PlannedRun, store: ShardStore, options: Seed
             "sun": sun, "zoom": zoom, "why": why, "tasks": count, "seconds": round(seconds, 1), "bytes": int(full * full_bytes),
             "measured": zoom in measured,
         })  # fmt: skip
-    workers = options.workers or cores()
+    workers = options.workers or usable_cores()
     total = {name: sum(float(row[name]) for row in rows) for name in ("tasks", "seconds", "bytes")}
     counts = table.counts()
     if options.as_json:

@@ -33,11 +33,13 @@ from api.http import (
 from api.http.answers import EXPOSED_HEADERS, VERSION
 from api.http.bearer_token import BearerToken
 from api.http.cross_origin import CrossOrigin
-from api.http.encoded_tiles import EncodedTiles, SentBefore
+from api.http.encoded_tiles import EncodedTiles
 from api.http.first_blocks import first_blocks
 from api.http.metrics import ServiceMetrics
 from api.http.new_suns import NewSuns
 from api.http.openapi import install_openapi
+from api.http.problem_handlers import install_problem_handlers
+from api.http.sent_before import SentBefore
 from api.http.served_archives import ServedArchives
 from api.http.served_levels import ServedLevels
 from api.http.service import ClientGoneError, Service
@@ -112,7 +114,7 @@ def create_app(
         allow_headers=["*"], expose_headers=list(EXPOSED_HEADERS),
     )  # fmt: skip
     app.add_middleware(Watched, metrics=metrics, access_log=settings.access_log)
-    problems.install_problem_handlers(app)
+    install_problem_handlers(app)
     app.add_exception_handler(ClientGoneError, _nobody_reads)
     for routes in (
         routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,

@@ -20,22 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pmtiles.tile import Compression, HeaderDict, TileType, deserialize_header, tileid_to_zxy, zxy_to_tileid
 
+from api.archive_format import ARCHIVED_MEDIA_TYPES, HEADER_BYTES, TILE_FORMATS
 from api.errors import ArchiveError
 from api.file_stamps import Stamp, file_stamps
 from terrain.cache import MIB, Cache, Missing
 from terrain.errors import Fault
 
-TILE_FORMATS = {
-    TileType.PNG: ("png", "image/png"),
-    TileType.JPEG: ("jpg", "image/jpeg"),
-    TileType.WEBP: ("webp", "image/webp"),
-    TileType.AVIF: ("avif", "image/avif"),
-}
-"""Ending of an address and media type by the type that a header says."""
-
-ARCHIVED_MEDIA_TYPES = {ending: media_type for ending, media_type in TILE_FORMATS.values()}
-
-_HEADER_BYTES = 127
 DIRECTORY_DEPTH = 3
 """Directories under one another, the root among them: readers go no deeper."""
 
@@ -86,7 +76,8 @@ class ArchiveFile:
         self.version = self._version()
         self._root = self._checked_root()
         self.first_tile = self._first_tile()
-        self.format, self.media_type = TILE_FORMATS[self.header["tile_type"]]
+        self.format = TILE_FORMATS[self.header["tile_type"]]
+        self.media_type = ARCHIVED_MEDIA_TYPES[self.format]
 
     @property
     def zooms(self) -> range:
@@ -134,12 +125,12 @@ class ArchiveFile:
         raise self._broken("leaf directories under leaf directories")
 
     def _header(self) -> HeaderDict:
-        raw = os.pread(self._file, _HEADER_BYTES, 0)
+        raw = os.pread(self._file, HEADER_BYTES, 0)
         if raw[:7] != b"PMTiles":
             raise self._broken("not a PMTiles archive" if raw[:2] != b"PM" else "a PMTiles archive of an earlier version")
         if raw[7:8] not in (b"", b"\x03"):
             raise self._broken(f"a PMTiles archive of version {raw[7]}")
-        if len(raw) < _HEADER_BYTES:
+        if len(raw) < HEADER_BYTES:
             raise self._broken("cut short: it ends in its header")
         try:
             header = deserialize_header(raw)

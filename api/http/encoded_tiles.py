@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Scope
 
 from api.http.answers import is_fresh
 from api.http.moments import TIME_HEADER, is_of_now
-from api.http.watching import KEPT
 from terrain.cache import MIB, Cache, Missing
 
-if TYPE_CHECKING:
-    from api.http.service import Service
-
-KEPT_TILE = "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)"
-"""The route in metrics and logs of tiles that are answered before one is looked for."""
+DrawnBy = tuple[str | None, ...]
+"""What the tiles of a level hang on besides their addresses."""
 
 OVERHEAD_BYTES = 1024
 """What a kept tile, or its address, takes besides a body: headers, tags, and the cache's own."""
@@ -46,7 +42,7 @@ class _Sent:
 
     tag: str
     level: str
-    drawn: tuple[str | None, ...]
+    drawn: DrawnBy
 
 
 Address = tuple[str, bytes]
@@ -78,8 +74,8 @@ class EncodedTiles:
         tile = self._kept.get(tag)
         return None if isinstance(tile, Missing) else tile
 
-    def put(self, request: Request, tile: EncodedTile, level: str, drawn: tuple[str | None, ...]) -> None:
-        """Keep a tile, and that a request was answered with it; ``drawn`` is what that hangs on (``drawn_by``).
+    def put(self, request: Request, tile: EncodedTile, level: str, drawn: DrawnBy) -> None:
+        """Keep a tile, and that a request was answered with it; ``drawn`` is what that hangs on.
 
         An address that means now is not remembered: soon it means another tile.
         """
@@ -89,40 +85,15 @@ class EncodedTiles:
             return
         self._sent.put(_address(request.scope), value=_Sent(tag, level, drawn))
 
-    def sent_before(self, scope: Scope, service: Service) -> EncodedTile | None:
-        """The tile that an address was answered with, if it would be again."""
+    def sent_before(self, scope: Scope, drawn_by: Callable[[str], DrawnBy]) -> EncodedTile | None:
+        """Return the tile that an address was answered with, if what its level hangs on (``drawn_by``) is unchanged."""
         sent = self._sent.get(_address(scope))
-        if isinstance(sent, Missing) or sent.drawn != drawn_by(service, sent.level):
+        if isinstance(sent, Missing) or sent.drawn != drawn_by(sent.level):
             return None
         tile = self._found(sent.tag)
         self.hits += tile is not None  # where it is not found, it is looked for again
         return tile
 
 
-def drawn_by(service: Service, name: str) -> tuple[str | None, ...]:
-    """What the tiles of a level hang on besides their addresses."""
-    level = service.levels.unchanged(name)
-    archives = None if level is None else service.archives.unchanged_of(level)
-    if level is None or archives is None:
-        return (None,)
-    return level.version, service.pool.renderer, service.pool.plan_version(level.key), archives.version
-
-
 def _address(scope: Scope) -> Address:
     return scope["path"], scope["query_string"]
-
-
-class SentBefore:
-    """Answers for tiles that are kept, before an application looks at a request."""
-
-    def __init__(self, app: ASGIApp, service: Service) -> None:
-        self.app, self.service = app, service
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, or run the application."""
-        tile = self.service.tiles.sent_before(scope, self.service) if scope["type"] == "http" and scope["method"] == "GET" else None
-        if tile is None:
-            await self.app(scope, receive, send)
-        else:
-            scope[KEPT] = KEPT_TILE
-            await tile.answer(Request(scope))(scope, receive, send)

@@ -10,9 +10,10 @@ from urllib.parse import quote
 from fastapi import APIRouter, Depends, Path, Request, Response
 from starlette.concurrency import run_in_threadpool
 
+from api.archive_format import ARCHIVED_MEDIA_TYPES
 from api.errors import ArchiveError, NotServedError
 from api.http.answers import OWN_SUN_S, base_url, cache_headers, json_answer, tag_of
-from api.http.archive_file import ARCHIVED_MEDIA_TYPES, ArchiveFile
+from api.http.archive_file import ArchiveFile
 from api.http.documented import LEVEL_ERRORS, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
 from api.http.encoded_tiles import EncodedTile
 from api.http.parameters import allow_only

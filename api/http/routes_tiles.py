@@ -29,9 +29,10 @@ from api.http.routes_archives import archived_tile, read_tile
 from api.http.service import Service, TheService
 from api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
 from api.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
-from api.workers.block_tiles import ARRAY_FORMATS, TILE_PX, check_format, empty_layer, empty_tile, encode, place_in_block
+from api.workers.block_tiles import ARRAY_FORMATS, check_format, empty_layer, empty_tile, encode, place_in_block
 from api.workers.jobs import BlockJob, BlockTiles, PictureRequest, SunHoursJob
 from selector.formatting import format_list
+from terrain.geo.grid import TILE_PX
 
 PICTURE_DOCS: Answers = {
     **file_docs(

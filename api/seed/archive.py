@@ -17,21 +17,19 @@ from typing import Any, BinaryIO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pmtiles.tile import Compression, Entry, TileType, serialize_directory, serialize_header, tileid_to_zxy
+from pmtiles.tile import Compression, Entry, serialize_directory, serialize_header, tileid_to_zxy
 
+from api.archive_format import HEADER_BYTES, TILE_TYPES
 from api.errors import BrokenShardError
 from terrain.errors import InputError
 from terrain.whole_files import replaced_whole
 
 DIGEST_BYTES = 16
 
-TILE_TYPES = {"png": TileType.PNG, "jpg": TileType.JPEG, "webp": TileType.WEBP}
-
 SHARED_BELOW_BYTES = 2048
 """Equal tiles of fewer bytes are stored once, wherever they are. Such are of one colour, or nearly so: among larger ones equal
 tiles are rare, and to look for them costs memory with every tile."""
 
-HEADER_BYTES = 127
 ROOT_END = 16_384
 """Header and root directory lie within so many bytes: readers fetch them in one request."""
 

@@ -13,13 +13,14 @@ from api.seed.archive import ShardIndex
 from api.seed.messages import Drawn, Task
 from api.seed.run_spec import MATRIX_SET, RunSpec
 from api.seed.storage import ShardStore
-from api.workers.block_tiles import BLOCK_TILES, TILE_PX, cut_tiles, empty_tile, encoded_part
+from api.workers.block_tiles import BLOCK_TILES, cut_tiles, empty_tile, encoded_part
 from api.workers.drawn_blocks import block_of_grid, drawn_block, grid_of_zoom
 from api.workers.map_jobs import heights_picture
 from terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS
 from terrain.compiling.hooks import need
 from terrain.errors import InputError
 from terrain.gbuffer.bare_ground import forget_ground_before
+from terrain.geo.grid import TILE_PX
 from terrain.level.level import load_level
 from terrain.scene import Scene, build_scene
 

@@ -10,7 +10,7 @@ from typing import Protocol
 from api.seed.messages import Begun, Drawn, NotDrawn, Task
 from api.seed.render_process import START_LIMIT_S, RenderProcess, threads_of_one
 from api.seed.run_spec import RunSpec
-from api.settings import cores
+from terrain.cores import usable_cores
 from terrain.errors import GraphicsError
 
 MOST_FRUITLESS = 5
@@ -41,7 +41,7 @@ class LocalPool:
     """
 
     def __init__(self, workers: int, start_limit_s: float = START_LIMIT_S) -> None:
-        self._environment, self._start_limit_s = threads_of_one(max(cores() // workers, 1)), start_limit_s
+        self._environment, self._start_limit_s = threads_of_one(max(usable_cores() // workers, 1)), start_limit_s
         self._fruitless = 0
         self._run: tuple[str, str] | None = None
         self._processes = [self._started(number) for number in range(workers)]

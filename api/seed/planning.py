@@ -23,7 +23,7 @@ from api.workers.drawn_blocks import block_of_grid
 from api.workers.jobs import LevelKey, PictureRequest, RequestedSettings, Tiles
 from api.workers.map_plans import plan_in_service
 from api.workers.plan_basis import PlanBasis
-from api.workers.render_worker import tiles_view
+from api.workers.worker_state import tiles_view
 from selector.kept_probes import load_probes, probes_folder
 from shadows.plan import Plan
 from shadows.render import RENDERER_VERSION

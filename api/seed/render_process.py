@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 from api.seed.messages import Begin, Begun, Drawn, NotBegun, NotDrawn, Task
 from api.seed.storage import store_at
-from api.settings import cores
 from terrain.compiling.ahead import compile_ahead
 from terrain.compiling.hooks import compiled_by
+from terrain.cores import usable_cores
 from terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
 from terrain.gl.egl_devices import take_turn
 from terrain.level.gdal_guard import forbid_code
@@ -132,7 +132,7 @@ def draw_tasks(descriptor: int, number: int = 0) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the one that started it
     forbid_code()
     take_turn(number)
-    with compiled_by(lambda products: compile_ahead(products, cores())):
+    with compiled_by(lambda products: compile_ahead(products, usable_cores())):
         _draw_until_closed(Connection(descriptor))
 
 

@@ -8,17 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from PIL import Image
 
-from api.layers import LAYERS, MapFormat, encode_picture, encoded_heights, geotiff, map_layer, npy
+from api.layers import LAYERS, LOSSY_QUALITY, MapFormat, encode_picture, encoded_heights, geotiff, map_layer, npy
 from api.sun_hours_layer import SUN_HOURS_LAYER
 from terrain.cache import MIB, cached
 from terrain.errors import InputError
-from terrain.geo.grid import BLOCK_PX, MapView
+from terrain.geo.grid import BLOCK_PX, TILE_PX, MapView
 
-TILE_PX = 256
 BLOCK_TILES = BLOCK_PX // TILE_PX
-
-LOSSY_QUALITY = 90
-"""Of JPEG, and of WebP where a picture is to be looked at and not to be computed with."""
 
 ARRAY_FORMATS = ("tif", "npy")
 """Formats that a tile without a surface has, too: a TIFF says where it lies, and either may be of floating point."""
@@ -119,14 +115,14 @@ def encode(array: np.ndarray, layer: str, format: str, view: MapView | None = No
     if LAYERS[layer].to_look_at and array.shape[2] == 4 and (array[..., 3] == 255).all():
         array = array[..., :3]
     if LAYERS[layer].to_look_at and format == "webp":
-        return _save(Image.fromarray(np.ascontiguousarray(array)), "WEBP", quality=LOSSY_QUALITY, method=2)
-    if format == "jpg":
-        image = Image.fromarray(np.ascontiguousarray(array))
-        if image.mode == "RGBA":
-            ground = Image.new("RGB", array.shape[1::-1], "white")
-            ground.paste(image, mask=image.getchannel("A"))
-            image = ground
-        return _save(image, "JPEG", quality=LOSSY_QUALITY)
+        out = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(array)).save(out, "WEBP", quality=LOSSY_QUALITY, method=2)
+        return out.getvalue()
+    if format == "jpg" and array.shape[2] == 4:
+        picture = Image.fromarray(array)
+        opaque = Image.new("RGB", picture.size, "white")
+        opaque.paste(picture, mask=picture.getchannel("A"))
+        array = np.asarray(opaque)
     return encode_picture(array, f".{format}")
 
 
@@ -150,9 +146,3 @@ def _nothing(rows: int, cols: int) -> PicturedBlock:
     """A map without a surface."""
     missing, none = np.full((rows, cols), np.nan, np.float32), np.zeros((rows, cols), np.uint8)
     return PicturedBlock(np.zeros((rows, cols, 3), np.uint8), none, none.astype(np.bool_), missing)
-
-
-def _save(image: Image.Image, kind: str, **options: int) -> bytes:
-    out = io.BytesIO()
-    image.save(out, kind, **options)
-    return out.getvalue()

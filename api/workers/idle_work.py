@@ -14,13 +14,12 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from typing import Any
 
-from api.exhaustion import in_thread
-from api.workers.process_life import JOIN_S, give_way, process_end
+from api.workers.child_process import ChildProcess
+from api.workers.process_life import give_way
+from api.workers.spawned import PipedProcess
 from terrain.compiling.parent_process import end_with_parent
 from terrain.errors import SkuggaError
 
@@ -69,13 +68,13 @@ class IdleWork:
         self._threads = ThreadPoolExecutor(1, "skugga-idle")
         self._task: asyncio.Task[None] | None = None
         self._disturbed_s = float("-inf")
-        self._process: BaseProcess | None = None
+        self._child: ChildProcess | None = None
         self.paused = False
 
     @property
     def pid(self) -> int | None:
         """The process of the job that is being done."""
-        return None if self._process is None else self._process.pid
+        return None if self._child is None else self._child.pid
 
     def add(self, job: IdleJob) -> None:
         """Let a job wait for idleness, which counts from now on at the earliest."""
@@ -121,42 +120,26 @@ class IdleWork:
         """What a job returns; its process is gone after it, whatever happens. Raises ``_FailedError``, ``_NotWantedError`` or
         ``OSError``.
         """
-        spawn = get_context("spawn")
         # What a killed process leaves in its temporary folder goes with it.
         with tempfile.TemporaryDirectory(prefix="skugga-", ignore_cleanup_errors=True) as folder:
-            ours, theirs = spawn.Pipe()
-            process = spawn.Process(
-                target=idle_main, args=(theirs, folder, self._gl_threads, job.function, job.args), name="skugga-idle", daemon=True
-            )
-            started: asyncio.Future[None] | None = None
-            answer: asyncio.Future[Any] | None = None
+            piped = PipedProcess(idle_main, folder, self._gl_threads, job.function, job.args, name="skugga-idle")
+            child = ChildProcess(piped, self._threads)
             try:
-                started = in_thread(self._threads, process.start)
-                await asyncio.shield(started)
-                theirs.close()  # else its end would not be noticed
-                self._process, self.paused = process, False
-                answer = in_thread(self._threads, ours.recv)
+                await child.start()
+                self._child, self.paused = child, False
+                answer = child.in_new_thread(child.pipe.recv)
                 await self._watch(job, answer)
                 try:
                     done, result = answer.result()
                 except (EOFError, OSError):
-                    await process_end(process)
-                    raise _FailedError(f"its process ended with status {process.exitcode}") from None
+                    await child.gone()
+                    raise _FailedError(f"its process ended with status {child.exitcode}") from None
                 if not done:
                     raise _FailedError(result)
                 return result
             finally:
-                self._process, self.paused = None, False
-                if started is not None:
-                    await asyncio.wait({started})
-                if process.pid is not None:
-                    process.kill()
-                    await process_end(process)
-                if answer is not None:
-                    await asyncio.wait({answer}, timeout=JOIN_S)
-                    answer.cancelled() or answer.exception()
-                ours.close()
-                theirs.close()
+                self._child, self.paused = None, False
+                await child.end()
 
     async def _watch(self, job: IdleJob, answer: asyncio.Future[Any]) -> None:
         """Wait for an answer, and stop and continue its process by what else is to be done."""

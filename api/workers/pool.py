@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from api.errors import ExhaustedError, LaterError, SetAsideError, WorkerCrashError, WorkerStartError
 from api.exhaustion import exhausted_error, in_thread
-from api.settings import Settings, cores
+from api.settings import Settings
 from api.workers.admission import check_admission, retry_after_s
 from api.workers.background_compile import BackgroundCompile
 from api.workers.idle_calibration import IdleCalibration, measured_profile
@@ -40,9 +40,11 @@ from api.workers.plan_basis import PlanBasis
 from api.workers.process_life import is_stopped
 from api.workers.set_aside import SetAside
 from api.workers.spawned import Spawned, WorkerTarget
-from api.workers.worker_main import first_config, worker_main
+from api.workers.worker_config import first_config
+from api.workers.worker_main import worker_main
 from api.workers.worker_process import WorkerProcess
 from terrain.cache import Cache, Missing
+from terrain.cores import usable_cores
 from terrain.errors import BusyError, GraphicsError, RenderTimeoutError, SkuggaError
 from terrain.gl.egl_devices import NO_OPENGL
 
@@ -128,7 +130,7 @@ class Pool:
         self.basis: PlanBasis | None = None
         self.preparing: Preparing | None = Preparing("starting a render process")
         self.preparing_since = time.monotonic()
-        self.compiling = BackgroundCompile(cores(), self._note_preparing)
+        self.compiling = BackgroundCompile(usable_cores(), self._note_preparing)
         self.idle = IdleWork(self._is_busy, self._config.gl_threads)
         self.calibrating = IdleCalibration(settings.calibrate_when_idle, self.idle, self._device, self._use, measure)
         self.probing = IdleProbes(settings.probe_when_idle, self.idle, self._device, self._probed, self._use_probed, probe)

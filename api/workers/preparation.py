@@ -6,7 +6,7 @@ import logging
 from datetime import UTC, datetime
 
 from api.workers.jobs import BlockJob
-from api.workers.render_worker import WorkerState, plan_of_tiles
+from api.workers.worker_state import WorkerState, plan_of_tiles
 from shadows.ground_pictures import SKY_PASS
 from terrain.errors import SkuggaError
 from terrain.geo.sun import apparent_position

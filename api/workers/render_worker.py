@@ -11,7 +11,6 @@ import signal
 import time as clock
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
@@ -22,8 +21,8 @@ from api.device_calibration import calibration
 from api.layers import LAYERS, PASS_LAYERS, encode_picture, frame_layer, viewable
 from api.picture_cost import check_cost
 from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
-from api.workers.block_tiles import PicturedBlock, cut_tiles, encoded_tiles
-from api.workers.drawn_blocks import block_of_grid, drawn_block, grid_of_zoom
+from api.workers.block_tiles import cut_tiles, encoded_tiles
+from api.workers.drawn_blocks import drawn_block
 from api.workers.film_jobs import film_picture, first_plan
 from api.workers.jobs import (
     Answer,
@@ -57,15 +56,16 @@ from api.workers.map_jobs import HEIGHTS, drawn_map, heights_picture
 from api.workers.map_plans import plan_in_service, unprobed_class
 from api.workers.plan_basis import PlanBasis
 from api.workers.point_jobs import point_answer, points_answer
-from api.workers.process_life import resident_bytes, stand_back
-from api.workers.worker_main import WorkerConfig
+from api.workers.preparation import import_pvlib, prepare_level
+from api.workers.process_life import stand_back
+from api.workers.worker_config import WorkerConfig
+from api.workers.worker_state import MAX_SCENES, WorkerState, block_view, plan_of_tiles, tiles_view
 from selector.choices import StandaloneRequest
 from selector.select import select
 from shadows.ground_pictures import ShownMap
 from shadows.plan import Plan
 from shadows.render import Frame, render_frame
-from terrain.cache import MIB, Cache, Missing
-from terrain.casters.slopes import extent_on_grid
+from terrain.cache import Missing
 from terrain.compiled import CORES
 from terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS, compile_ahead
 from terrain.compiling.farm import missing_tasks
@@ -80,115 +80,16 @@ from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import BLOCK_PX, MapView
 from terrain.gl import device as gl
 from terrain.gl.egl_devices import take_turn
-from terrain.level.level import SUN, Shadows, load_level
-from terrain.scene import Scene, build_scene
+from terrain.level.level import SUN, Shadows
+from terrain.scene import Scene
 
 if TYPE_CHECKING:
-    from selector.cost.device_profile import DeviceProfile
-
-MAX_SCENES = 16
-"""Levels that a process keeps open: an overview (some MB), a file handle, trees and meshes (up to hundreds of MB) each."""
-
-SCENES_BYTES = 2**30
-"""Bytes of their overviews, at most."""
-
-TILE_PLANS_BYTES = 16 * MIB
-"""Bytes of the plans of tiles that a process keeps: some 30 KiB each."""
-
-BLOCKS_BYTES = 48 * MIB
-"""Bytes of the blocks drawn last, some 5 MiB each, of which other layers or formats may be asked for."""
+    pass
 
 IDLE_S = 1.0
 """How long a process that is ready waits for a job before it prepares for later ones."""
 
-MAX_PROCESS_BYTES = 3 * 2**30
-"""Memory of a process beyond which it keeps only the level that it draws; with a software rasteriser it takes about 1.5 GB."""
-
 log = logging.getLogger("skugga.worker")
-
-
-class SceneCache:
-    """The scenes used last, by level file; a level of which a file has changed is opened anew."""
-
-    def __init__(self, limit: int = MAX_SCENES, process_bytes: Callable[[], int] = resident_bytes) -> None:
-        self._process_bytes = process_bytes
-        self._scenes: Cache[tuple[str, Scene]] = Cache(
-            "api.workers.scenes",
-            "process",
-            SCENES_BYTES,
-            lambda entry: entry[1].elevation.nbytes,
-            lambda entry: entry[1].close(),
-            limit,
-        )
-
-    def __len__(self) -> int:
-        return len(self._scenes)
-
-    def get(self, key: LevelKey) -> Scene:
-        """The scene of a level at a version. Raises ``LevelError`` or ``SourceError``."""
-        path = str(key.path)
-        entry = self._scenes.get(path)
-        if isinstance(entry, Missing) or entry[0] != key.version:
-            self._scenes.drop(path)
-            loaded = load_level(key)
-            need(MAPS_OF_CASTERS if loaded.level.forest or loaded.level.meshes else MAPS)
-            entry = key.version, build_scene(loaded)
-            self._scenes.put(path, value=entry)
-        if self._process_bytes() > MAX_PROCESS_BYTES:
-            self._scenes.trim(1)
-        return entry[1]
-
-
-class TilePlanCache:
-    """Plans of tiles, one for a level's version, zoom and sun and what is asked: neighbours share it, and it is made once."""
-
-    def __init__(self, limit_bytes: int = TILE_PLANS_BYTES) -> None:
-        self._plans: Cache[Plan] = Cache("api.workers.tile_plans", "process", limit_bytes)
-
-    def get(self, key: Hashable, make: Callable[[], Plan]) -> Plan:
-        """The plan that was made for a key, or is made now."""
-        plan = self._plans.get(key)
-        if isinstance(plan, Missing):
-            plan = make()
-            self._plans.put(key, value=plan)
-        return plan
-
-
-DrawnAndFacts = tuple[PicturedBlock, dict[str, Any]]
-"""A block and what is said of what drew it."""
-
-
-@dataclass(eq=False)
-class WorkerState:
-    """What a render process keeps while it lives: its renderer, what plans go by, scenes, plans of tiles, blocks.
-
-    Plans and blocks are kept by the version of their plans: those of another one are not found.
-    """
-
-    renderer: str
-    basis: PlanBasis = field(default_factory=PlanBasis)
-    most_ms: float | None = None
-    missing_loops: int = 0
-    scenes: SceneCache = field(default_factory=SceneCache)
-    plans: TilePlanCache = field(default_factory=TilePlanCache)
-    blocks: Cache[DrawnAndFacts] = field(default_factory=lambda: Cache("api.workers.blocks", "process", BLOCKS_BYTES))
-
-    @property
-    def device(self) -> DeviceProfile | None:
-        """The device's calibration."""
-        return self.basis.device
-
-
-def block_view(job: BlockJob | SunHoursJob) -> MapView:
-    """The view of a block: its pixels are the tile matrix's own."""
-    return block_of_grid(grid_of_zoom(job.matrix_set, job.zoom), job.block_x, job.block_y)
-
-
-def tiles_view(scene: Scene, tiles: Tiles) -> MapView:
-    """The view of the block that holds the level's middle: what is planned for all tiles of the zoom is planned for this one."""
-    grid = grid_of_zoom(tiles.matrix_set, tiles.zoom)
-    (north, south), (west, east) = extent_on_grid(scene.world, scene.elevation, grid)
-    return block_of_grid(grid, int((west + east) / 2 // BLOCK_PX), int((north + south) / 2 // BLOCK_PX))
 
 
 def run_job(job: Job, state: WorkerState) -> Result:
@@ -329,17 +230,6 @@ def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, s
     return (tiles_view(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
 
 
-def plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
-    """The plan that all tiles of a block's zoom have."""
-    tiles = Tiles(matrix_set=job.matrix_set, zoom=job.zoom)
-
-    def make() -> Plan:
-        overrides = job.request.overrides.for_selector()
-        return plan_in_service(scene, tiles_view(scene, tiles), "map", overrides, job.level, state.basis)
-
-    return state.plans.get((job.level, state.basis.version_of(job.level), tiles, job.request), make)
-
-
 def _facts(plan: Plan, frame: Frame | ShownMap, state: WorkerState, level: LevelKey) -> dict[str, Any]:
     """What a picture says of what drew it."""
     return {
@@ -358,7 +248,6 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
     stand_back()
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
     take_turn(config.number)
-    from api.workers.preparation import import_pvlib
     from api.workers.warm_up import warm_up
 
     def say(task: str, done: int = 0, total: int = 0) -> None:
@@ -398,8 +287,6 @@ def _answer_jobs(pipe: Connection, state: WorkerState, idle_steps: Sequence[Call
 
     Raises ``EOFError`` or ``OSError`` when the pipe is closed.
     """
-    from api.workers.preparation import prepare_level
-
     steps = deque(idle_steps)
     while True:
         while steps and not pipe.poll(IDLE_S):

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from typing import Any
 
 from api.workers.process_life import JOIN_S
-from api.workers.worker_main import WorkerConfig
+from api.workers.worker_config import WorkerConfig
 
 WorkerTarget = Callable[[Connection, WorkerConfig], None]
 
 
-class Spawned:
-    """A process that runs ``target(pipe, config)`` once it is started. It does not outlive this one."""
+class PipedProcess:
+    """A process that runs ``target(pipe, *args)`` once it is started. It does not outlive this one."""
 
-    def __init__(self, target: WorkerTarget, config: WorkerConfig) -> None:
+    def __init__(self, target: Callable[..., None], *args: Any, name: str) -> None:
         spawn = get_context("spawn")
-        self.config = config
         self.pipe, self.theirs = spawn.Pipe()
-        self.process = spawn.Process(target=target, args=(self.theirs, config), name="skugga-render", daemon=True)
+        self.process = spawn.Process(target=target, args=(self.theirs, *args), name=name, daemon=True)
 
     def start(self) -> None:
         """Start the process. Raises ``OSError``."""
@@ -37,3 +37,11 @@ class Spawned:
         """Close the pipe, of a process that has ended or was never started."""
         self.pipe.close()
         self.theirs.close()
+
+
+class Spawned(PipedProcess):
+    """A render process that is told a ``config``."""
+
+    def __init__(self, target: WorkerTarget, config: WorkerConfig) -> None:
+        super().__init__(target, config, name="skugga-render")
+        self.config = config

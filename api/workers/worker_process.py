@@ -1,4 +1,4 @@
-"""One render process as the service sees it: started, asked, watched and ended. All waiting is done in threads."""
+"""One render process as the service sees it: it is asked for answers, and watched while it makes them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from concurrent.futures import Executor
 from typing import Any, TypeVar
 
 from api.errors import ExhaustedError, WorkerCrashError, WorkerStartError
-from api.exhaustion import exhausted_error, in_thread
+from api.exhaustion import exhausted_error
+from api.workers.child_process import ChildProcess
 from api.workers.jobs import Answer, BlockJob, Failure, Job, Ping, Preparing, Ready
 from api.workers.plan_basis import PlanBasis
-from api.workers.process_life import JOIN_S, is_stopped, process_end
+from api.workers.process_life import is_stopped
 from api.workers.spawned import Spawned
 from terrain.errors import RenderTimeoutError
 
@@ -42,11 +43,9 @@ class WorkerProcess:
         on_death: Callable[[], None],
         on_preparing: Callable[[Preparing], None] = lambda preparing: None,
     ) -> None:
-        self._spawned = spawned
-        self._pipe, self._process = spawned.pipe, spawned.process
-        self._threads, self._on_death, self._on_preparing = threads, on_death, on_preparing
+        self._child, self._pipe = ChildProcess(spawned, threads), spawned.pipe
+        self._on_death, self._on_preparing = on_death, on_preparing
         self._task = ""
-        self._in_thread: asyncio.Future[Any] | None = None
         self._watched: int | None = None
         self.basis = spawned.config.basis
         self.first_blocks: tuple[BlockJob, ...] = ()
@@ -57,7 +56,7 @@ class WorkerProcess:
     @property
     def pid(self) -> int | None:
         """Process id, once started."""
-        return self._process.pid
+        return self._child.pid
 
     async def start(self, timeout_s: float) -> Ready:
         """Start the process if it was not, and wait until it has warmed up.
@@ -67,10 +66,10 @@ class WorkerProcess:
         """
         if self.pid is None:
             try:
-                await asyncio.shield(self._in_new_thread(self._spawned.start))
+                await self._child.start()
             except OSError as error:
                 raise exhausted_error(error) or WorkerStartError(f"a render process cannot be started: {error.strerror}") from None
-        self._watched = self._process.sentinel
+        self._watched = self._child.sentinel
         asyncio.get_running_loop().add_reader(self._watched, self._note_death)
         try:
             answer = await self._answer(self._pipe.recv, timeout_s)
@@ -107,18 +106,8 @@ class WorkerProcess:
 
     async def end(self) -> None:
         """End the process at once. It holds nothing that would be lost."""
-        if self._in_thread is not None and self.pid is None:
-            await asyncio.wait({self._in_thread})  # it is just being started
         self._unwatch()
-        if self.pid is not None:
-            self._process.kill()
-            await process_end(self._process)
-        if self._in_thread is not None:
-            done, _ = await asyncio.wait({self._in_thread}, timeout=JOIN_S)
-            if not done:  # a closed pipe's number could be another file's before it is read
-                log.error("render process %s cannot be killed; its pipe stays open", self.pid)
-                return
-        self._spawned.close()
+        await self._child.end()
 
     async def _answer(self, function: Callable[[], Any], timeout_s: float) -> Any:
         """Return what follows all that is prepared first; each step of that may take ``timeout_s``. Raises as ``_heard``."""
@@ -138,7 +127,7 @@ class WorkerProcess:
     async def _heard(self, function: Callable[[], T], timeout_s: float) -> T:
         """What a function brings from the pipe. Raises ``TimeoutError``, and ``EOFError`` for a process that was stopped."""
         loop = asyncio.get_running_loop()
-        until, answer = loop.time() + timeout_s, self._in_new_thread(function)
+        until, answer = loop.time() + timeout_s, self._child.in_new_thread(function)
         while True:
             done, _ = await asyncio.wait({answer}, timeout=max(min(LOOK_EVERY_S, until - loop.time()), 0.0))
             if done:
@@ -147,13 +136,6 @@ class WorkerProcess:
                 raise EOFError("it was stopped")
             if loop.time() >= until:
                 raise TimeoutError
-
-    def _in_new_thread(self, function: Callable[[], T]) -> asyncio.Future[T]:
-        """Run in a thread, which goes on where the waiting is given up: it ends with the process."""
-        running = in_thread(self._threads, function)
-        running.add_done_callback(lambda done: done.cancelled() or done.exception())
-        self._in_thread = running
-        return running
 
     def _note_death(self) -> None:
         self._unwatch()

@@ -12,7 +12,6 @@ thinner than a texel may lie between the texels' centres, and is missed. ``conse
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,10 +21,9 @@ from shadows.hybrid.conservative_map import MASKED, SHADED
 from shadows.hybrid.maps import classify_pixels, map_pictures
 from shadows.hybrid.settings import HybridSettings, resolve_hybrid
 from shadows.hybrid.work import hybrid_work
-from shadows.maps.drawing import depths, draw_map, drawn_ahead
-from shadows.maps.lookup import look_up
+from shadows.maps.filling import visibility_by_maps
 from shadows.maps.settings import ShadowMapSettings
-from shadows.maps.windows import DepthMap, lamp_map, sun_maps
+from shadows.maps.windows import lamp_map, sun_maps
 from shadows.passes import PassLog
 from shadows.volumes.drawing import count, faces_before
 from shadows.volumes.shadow_volume import KEEPS, NO_VOLUME, too_much_ground
@@ -34,12 +32,8 @@ from shadows.volumes.volumes import volumes_of
 from terrain.casters.reach import Casters
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gl.device import device
 from terrain.level.level import SUN, CasterKind, Shadows
 from terrain.scene import Scene
-
-if TYPE_CHECKING:
-    from moderngl import Framebuffer
 
 PASSES = ("silhouettes", "map", "mask", "stencil")
 
@@ -91,25 +85,15 @@ def _compared(
     log: PassLog,
 ) -> np.ndarray:
     """What a map says of points by comparing them with two by two texels; samples of pixels are left to the volumes."""
-    gl, map_settings = device(), settings.map
+    map_settings = settings.map
     if isinstance(map_settings, ShadowMapSettings):
         maps = sun_maps(buffer, scene, map_settings, None)
     else:
         maps = [drawn for drawn in [lamp_map(buffer, scene.lamps[light], map_settings, None)] if drawn is not None]
-    visibility = np.ones(buffer.there.shape, np.float32)
-
-    def draw(drawn: DepthMap) -> Framebuffer:
-        with log.run(passes[1]) as record:
-            return draw_map(gl, drawn, buffer, scene, kinds, casters, map_settings, record)
-
     if not maps:  # a lamp that shines on nothing
-        for name in passes[1:3]:
-            with log.run(name):
-                pass
-    for drawn, target in drawn_ahead(maps, draw):
-        log.keep("shadow-map", light, depths, gl, drawn, target)
-        with log.run(passes[2]) as record:
-            look_up(gl, drawn, target, buffer, scene.light_position(light, buffer.frame), map_settings, visibility, record)
+        with log.run(passes[1]):
+            pass
+    visibility = visibility_by_maps(maps, buffer, scene, light, kinds, casters, map_settings, (passes[1], passes[2]), log)
     verdict = np.where(visibility < 0.5, np.uint8(SHADED), np.uint8(255 - SHADED))
     verdict[wanted & (visibility > 0.0) & (visibility < 1.0)] = MASKED
     verdict[buffer.view.rows :][wanted[buffer.view.rows :]] = MASKED

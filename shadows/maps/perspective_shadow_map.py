@@ -10,15 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.area_light import mean_over_light
 from shadows.attached import attached
-from shadows.maps.drawing import depths, draw_map, drawn_ahead
-from shadows.maps.lookup import look_up
+from shadows.maps.filling import visibility_by_maps
 from shadows.maps.post_perspective import (
     Camera,
     Light,
@@ -44,12 +42,8 @@ from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.light_space import light_bounds
-from terrain.gl.device import device
 from terrain.level.level import SUN, CasterKind, Shadows
 from terrain.scene import Scene
-
-if TYPE_CHECKING:
-    from moderngl import Framebuffer
 
 PASSES = ("depth map", "visibility")
 
@@ -93,28 +87,14 @@ def fill(
     if settings.filter == "sun":
         return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
     depth_pass, visibility_pass = log.named(light, kinds, PASSES)
-    visibility = np.ones(buffer.there.shape, np.float32)
     trees = caster_trees(buffer, kinds)
-    with log.run(depth_pass):  # fitting a map is part of making it
+    with log.run(depth_pass) as record:  # fitting a map is part of making it
         receivers = buffer.there & ~attached(buffer, scene, light)
         shaded = receivers.any() and anything_casts(scene, buffer, kinds)
-        maps = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
-    gl = device()
-
-    def draw(each: FittedMap) -> Framebuffer:
-        with log.run(depth_pass) as record:
-            record.note = record.note or each.note  # of any part of a view
-            return draw_map(gl, each.drawn, buffer, scene, kinds, casters, settings, record)
-
-    for each, target in drawn_ahead(maps, draw):
-        log.keep("shadow-map", light, depths, gl, each.drawn, target)
-        with log.run(visibility_pass) as record:
-            position = scene.light_position(light, buffer.frame)
-            look_up(gl, each.drawn, target, buffer, position, settings, visibility, record)
-    if not maps:
-        with log.run(visibility_pass):
-            pass
-    return visibility
+        fitted = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
+        record.note = next(filter(None, [record.note, *(each.note for each in fitted)]), "")  # of any part of a view
+    maps = [each.drawn for each in fitted]
+    return visibility_by_maps(maps, buffer, scene, light, kinds, casters, settings, (depth_pass, visibility_pass), log)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
 from shadows.area_light import mean_over_light
-from shadows.maps.drawing import depths, draw_map, drawn_ahead
-from shadows.maps.lookup import look_up
+from shadows.maps.filling import visibility_by_maps
 from shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_shadow_map
 from shadows.maps.settings import LampMapSettings, ShadowMapSettings
 from shadows.maps.sun_disc import nearest_caster_m
@@ -28,12 +27,8 @@ from terrain.casters.casting import anything_casts, caster_trees
 from terrain.casters.reach import Casters
 from terrain.facts.descriptor import Descriptor
 from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gl.device import device
 from terrain.level.level import SUN, CasterKind, Shadows
 from terrain.scene import Scene
-
-if TYPE_CHECKING:
-    from moderngl import Framebuffer
 
 PASSES = ("depth map", "visibility")
 
@@ -64,21 +59,7 @@ def fill(
             maps = sun_maps(buffer, scene, settings, trees, nearest_m)
         elif (lit := lamp_map(buffer, scene.lamps[light], settings, trees)) is not None:
             maps = [lit]
-    if not maps:  # no casters, or no receivers
-        with log.run(visibility_pass):
-            return np.ones(buffer.there.shape, np.float32)
-    gl = device()
-    visibility = np.ones(buffer.there.shape, np.float32)
-
-    def draw(drawn: DepthMap) -> Framebuffer:
-        with log.run(depth_pass) as record:
-            return draw_map(gl, drawn, buffer, scene, kinds, casters, settings, record)
-
-    for drawn, target in drawn_ahead(maps, draw):
-        log.keep("shadow-map", light, depths, gl, drawn, target)
-        with log.run(visibility_pass) as record:
-            look_up(gl, drawn, target, buffer, scene.light_position(light, buffer.frame), settings, visibility, record)
-    return visibility
+    return visibility_by_maps(maps, buffer, scene, light, kinds, casters, settings, (depth_pass, visibility_pass), log)
 
 
 def _tunes(descriptor: Descriptor, light: str, key: str, value: int) -> bool:

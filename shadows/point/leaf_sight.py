@@ -15,6 +15,7 @@ from shadows.point.directions import Directions, ends_towards
 from shadows.point.solid_sight import LEAST_AWAY_M, Sighting, azimuth_of
 from terrain.compiled import compiled, internal
 from terrain.gbuffer.tree_instances import TreeInstances, tree_corner
+from terrain.interpolation_loops import blend_corners, cell_before
 from terrain.trees.foliage import TEXTURE_PX, THRESHOLD, foliage
 
 STEP = 1e-4
@@ -202,9 +203,6 @@ def _is_leaf(alpha, u, v):
     height, width = alpha.shape
     x = min(max(u * width - 0.5, 0.0), width - 1.0)
     y = min(max((1.0 - v) * height - 0.5, 0.0), height - 1.0)
-    x0, y0 = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
-    x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
-    fx, fy = x - x0, y - y0
-    top = alpha[y0, x0] * (1.0 - fx) + alpha[y0, x1] * fx
-    bottom = alpha[y1, x0] * (1.0 - fx) + alpha[y1, x1] * fx
-    return top * (1.0 - fy) + bottom * fy >= 255.0 * THRESHOLD
+    y0, y1, down = cell_before(y, height)
+    x0, x1, across = cell_before(x, width)
+    return blend_corners(alpha[y0, x0], alpha[y0, x1], alpha[y1, x0], alpha[y1, x1], down, across) >= 255.0 * THRESHOLD

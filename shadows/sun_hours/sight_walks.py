@@ -21,14 +21,14 @@ from shadows.sweep.rays import patch_windows
 from terrain.casters.reach import Patch
 from terrain.compiled import compiled, internal
 from terrain.gbuffer.bare_nodes import BareNodes
-from terrain.geo.world import World
+from terrain.geo.world import EARTH_RADIUS_M, World
 from terrain.ground.surface import NodeHeights
 from terrain.scene import Scene
 
 PASSED_TILE, PASSED_BLOCK = 8, 64
 """Quads along a side of the tiles, and of the blocks of tiles, that are passed over."""
 
-EARTH_BEND = 0.5 / 6.371e6
+EARTH_BEND = 0.5 / EARTH_RADIUS_M
 """By how much a level line of sight rises above the ground, per square metre of its length."""
 
 FREE, FREE_TIMES = 0.02, 1.0

@@ -15,7 +15,6 @@ moment (``shadows.sun_hours.sight_walks``), then by the rule of false position t
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,7 +23,7 @@ import numpy as np
 from shadows.sun_hours.quadratics import quadratic
 from shadows.sun_hours.sight_walks import SunTrack, WalkedGround, free_tangent
 from shadows.sweep.grid import GridOrientation, copy_into
-from terrain.compiled import compiled, internal
+from terrain.compiled import compiled, internal, on_cores
 
 UNSHADED = np.float32(1e6)
 """Clearance where nothing lies between a cell and the sun: how far it is from being shaded is not known."""
@@ -158,13 +157,7 @@ def clearances(level: np.ndarray, shade: np.ndarray, raised: float, out: np.ndar
 
 
 def _in_bands(work: Callable[[slice], None], rows: int, cores: int) -> None:
-    bands = [slice(first, min(first + BAND_ROWS, rows)) for first in range(0, rows, BAND_ROWS)]
-    if cores == 1:
-        for band in bands:
-            work(band)
-        return
-    with ThreadPoolExecutor(cores) as pool:
-        list(pool.map(work, bands))
+    on_cores(work, (slice(first, min(first + BAND_ROWS, rows)) for first in range(0, rows, BAND_ROWS)), cores)
 
 
 @compiled

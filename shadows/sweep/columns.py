@@ -17,7 +17,6 @@ world to the rounding of float64.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -27,7 +26,7 @@ from shadows.sweep.grid import BENT_CELLS, LATTICE, bent_rays_error, beyond_crs_
 from shadows.sweep.points import cubic
 from shadows.sweep.rays import SunRays, rays_over
 from terrain.casters.reach import PATCH_QUADS, Casters
-from terrain.compiled import compiled, internal
+from terrain.compiled import compiled, internal, on_cores
 from terrain.gbuffer.geometry import GeometryBuffer
 from terrain.gbuffer.resolve import RELIEF
 from terrain.ground.columns import Columns, PlacedOnColumns
@@ -126,8 +125,7 @@ class ColumnSweep:
                 row = self._rows_on(ground, self.row[part])
                 _follow(turned, row, self.t[part] / turned.side, own[part], measured, out[part])
 
-        with ThreadPoolExecutor(cores) as pool:
-            list(pool.map(some, range(0, len(out), POINTS_AT_A_TIME)))
+        on_cores(some, range(0, len(out), POINTS_AT_A_TIME), cores)
         return np.append(out, 0.0)[self.number]
 
     def _rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from shadows.sweep.lines import NO_GROUND_LEVEL, Strip, TurnedGrid, sweep_rows
 from shadows.sweep.points import StripPoints, in_strip, intervals_of, no_points, put_answers
-from terrain.compiled import compiled, in_shares
+from terrain.compiled import compiled, in_shares, on_cores
 from terrain.errors import UnsupportedError
 
 STRIP_CELLS = 1024
@@ -262,18 +261,8 @@ def sweep_nodes(
         sweep_rows(sheet, its, before, end, shade, lit, some)
         put_answers(number, *strip_answers, points_lit, points_above_m)
 
-    _on_cores(strip, range(low, high, STRIP_CELLS), cores)
+    on_cores(strip, range(low, high, STRIP_CELLS), cores)
     return lit[:, 1:-1], points_lit, points_above_m
-
-
-def _on_cores(work: Callable[[int], None], of: Iterable[int], cores: int) -> None:
-    """Do work on several cores; on one, in this thread."""
-    if cores == 1:
-        for each in of:
-            work(each)
-        return
-    with ThreadPoolExecutor(cores) as pool:
-        list(pool.map(work, of))
 
 
 def no_peaks(lines: int, cells: int) -> np.ndarray:
@@ -342,7 +331,7 @@ def turned_levels(
         rows_of_band = slice(first, first + TURN_BAND_ROWS)
         _levels(height[rows_of_band], per_height, first * per_row, per_row, per_col, target[rows_of_band])
 
-    _on_cores(band, range(0, rows, TURN_BAND_ROWS), cores)
+    on_cores(band, range(0, rows, TURN_BAND_ROWS), cores)
     return close_border(with_border)
 
 

@@ -11,14 +11,13 @@ it lies *towards* it. The horizon is the angle above that direction. Lines, plac
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
 from shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_grid, turned_levels
 from shadows.sweep.points import cubic, ground_at, is_cut
-from terrain.compiled import compiled, internal
+from terrain.compiled import compiled, internal, on_cores
 
 NO_HORIZON_SLOPE = -1e30
 """Slope of a horizon without any ground: a number, not infinity, so that it can be interpolated."""
@@ -106,8 +105,7 @@ def slopes(
     def strip(start: int) -> None:
         _walk(section, lines, first, start, min(start + STRIP_LINES, count), asked)
 
-    with ThreadPoolExecutor(cores) as pool:
-        list(pool.map(strip, range(0, count, STRIP_LINES)))
+    on_cores(strip, range(0, count, STRIP_LINES), cores)
     w = t * lines - line
     return np.maximum(near, (1.0 - w) * beside[:, 0] + w * beside[:, 1])
 

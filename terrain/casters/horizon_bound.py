@@ -25,7 +25,7 @@ from typing import Literal
 
 import numpy as np
 
-from terrain.cache import MIB, Cache, Missing, cached
+from terrain.cache import MIB, Cache, Missing
 from terrain.casters.reach import PATCH_QUADS, Patch, Receivers
 from terrain.compiled import compiled, internal
 from terrain.geo.grid import Grid, MapView
@@ -33,6 +33,7 @@ from terrain.geo.sun import SUN_RADIUS_DEG
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
 from terrain.ground.extremes import widen
+from terrain.ground.grid_key import grid_key
 from terrain.ground.surface import RefinedWindow, Surface, refined_row
 from terrain.scene import Scene
 
@@ -157,7 +158,7 @@ def own_parts(receivers: Receivers) -> np.ndarray:
 
 def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequence[Patch]) -> PatchGround:
     """The ground of patches of one grid; it is read once, and serves every sun."""
-    owner = _grid_of_ground(world, elevation, grid)
+    owner = grid_key(world, elevation, grid)
     found = {(patch.row, patch.col): _known_patches.get(owner, patch.row, patch.col) for patch in patches}
     missing: dict[int, list[int]] = {}
     for (row, col), parts in found.items():
@@ -287,15 +288,6 @@ def _grid_of(receivers: Receivers) -> Grid:
 
 
 _known_patches: Cache[np.ndarray] = Cache("terrain.casters.horizon_bound", "scene", 32 * MIB, lambda known: known.nbytes + 512)
-
-
-class _GridOfGround:
-    """Stands for a grid over a scene's ground in the patches' keys."""
-
-
-@cached("scene", MIB, size_of=lambda _: 512)
-def _grid_of_ground(world: World, elevation: Elevation, grid: Grid) -> _GridOfGround:
-    return _GridOfGround()
 
 
 def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:

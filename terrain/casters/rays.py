@@ -30,6 +30,7 @@ from terrain.compiled import compiled
 from terrain.errors import RenderError
 from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.ground.sheet import Sheet
+from terrain.interpolation import bilinear
 from terrain.trees.foliage import THRESHOLD, foliage
 
 OFFSET_ULPS = 16.0
@@ -174,18 +175,10 @@ def sample_alpha(alpha: np.ndarray, uv: np.ndarray, layer: np.ndarray | None = N
     """A texture (h, w), or layers (n,) of one (layers, h, w), at (n, 2) coordinates in [0, 1]: bilinear between texel
     centres, clamped at the border.
     """
-    if layer is None:
-        layer = np.zeros(len(uv), np.int64)
-    alpha = alpha if alpha.ndim == 3 else alpha[None]
-    height, width = alpha.shape[1:]
+    height, width = alpha.shape[-2:]
     x = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
     y = np.clip(uv[:, 1] * height - 0.5, 0, height - 1)
-    x0, y0 = np.minimum(x.astype(int), max(width - 2, 0)), np.minimum(y.astype(int), max(height - 2, 0))
-    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
-    fx, fy = x - x0, y - y0
-    top = alpha[layer, y0, x0] * (1 - fx) + alpha[layer, y0, x1] * fx
-    bottom = alpha[layer, y1, x0] * (1 - fx) + alpha[layer, y1, x1] * fx
-    return top * (1 - fy) + bottom * fy
+    return bilinear(alpha, y, x, layer)
 
 
 def trees_as_mesh(instances: TreeInstances) -> AlphaMesh:

@@ -11,18 +11,14 @@ through between them. All is float64.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
+from terrain.compiled import CORES, compiled, internal, on_cores
 from terrain.ground.sheet import Sheet
-
-WALKING_THREADS = min(os.cpu_count() or 1, 8)
 
 LEAST_TILE_QUADS = 4
 """Quads along a side of the lowest tiles: all of them are looked at where a ray meets the tile's box."""
@@ -58,9 +54,8 @@ class SheetRays:
         if not self._sheets:
             return np.zeros(len(start_m), bool)
         axes, pyramids = _axes_along(direction), self._along(tuple(map(float, direction)))
-        parts = np.array_split((start_m - self._centre_m) @ axes.T, WALKING_THREADS)
-        with ThreadPoolExecutor(WALKING_THREADS) as pool:  # the loops hold no lock
-            return np.concatenate(list(pool.map(partial(_blocked, pyramids), parts)))
+        parts = np.array_split((start_m - self._centre_m) @ axes.T, CORES)
+        return np.concatenate(on_cores(partial(_blocked, pyramids), parts))
 
     def _along(self, direction: tuple[float, ...]) -> Pyramids:
         """The sheets turned along a direction; those of the last one are kept."""
@@ -86,13 +81,11 @@ class SheetRays:
             node, quad = node + (rows + 1) * (cols + 1), quad + rows * cols
         falls = np.concatenate([each.falls.ravel() for each in self._sheets])
         found = Pyramids(np.empty((node, 3)), falls, np.array(sheets), np.array(levels), np.empty((box, 5)))
-        with ThreadPoolExecutor(WALKING_THREADS) as pool:
-            parts = [
-                pool.submit(_build, found, number, each.position_frame_m, self._centre_m, axes)
-                for number, each in enumerate(self._sheets)
-            ]
-            for part in parts:
-                part.result()
+
+        def build(number: int) -> None:
+            _build(found, number, self._sheets[number].position_frame_m, self._centre_m, axes)
+
+        on_cores(build, range(len(self._sheets)))
         return found
 
 

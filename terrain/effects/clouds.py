@@ -25,6 +25,7 @@ from terrain.ground.elevation import Elevation
 from terrain.ground.noise import OCTAVE_GAIN, noise_at
 from terrain.ground.surface import map_pixel_m
 from terrain.ground.visible_cells import CellRange, full_cell_range, visible_cells
+from terrain.interpolation_loops import smoothstep_of
 from terrain.scene import Scene
 from terrain.shading import daylight_of, night_of
 from terrain.shading_loops import dusk_of
@@ -169,8 +170,7 @@ def density_at(x_m, y_m, threshold):
 
 @compiled
 def _density(noise, threshold):
-    share = min(max((noise - threshold) / CLOUD_EDGE_WIDTH + 0.5, 0.0), 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    return smoothstep_of((noise - threshold) / CLOUD_EDGE_WIDTH + 0.5)
 
 
 @internal

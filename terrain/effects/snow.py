@@ -13,6 +13,7 @@ from terrain.gbuffer.resolve import FOREST, RELIEF
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.grid import MapView
 from terrain.ground.noise import fractal_at
+from terrain.interpolation_loops import smoothstep_of
 from terrain.scene import Scene
 from terrain.shading import SHORE_M
 
@@ -79,7 +80,7 @@ def _held(slope_deg, x_m, y_m, pixel_m):
     """Share of the snow that a slope holds."""
     if HELD_DEG - 2.0 * ROUGH_DEG < slope_deg < BARE_DEG + 2.0 * ROUGH_DEG:
         slope_deg += ROUGH_DEG * _rough(x_m, y_m, ROUGH_M, pixel_m)
-    return 1.0 - _smooth((slope_deg - HELD_DEG) / (BARE_DEG - HELD_DEG))
+    return 1.0 - smoothstep_of((slope_deg - HELD_DEG) / (BARE_DEG - HELD_DEG))
 
 
 @internal
@@ -87,7 +88,7 @@ def _dusted(upright, x_m, y_m, height_m, pixel_m):
     """Share of snow on a crown, at a point of its outside that is so upright."""
     if upright > CROWN_TOP[0] - 2.0 * CLUMPS:
         upright += CLUMPS * (_rough(x_m, height_m, CLUMP_M, pixel_m) + _rough(height_m, y_m, CLUMP_M, pixel_m))
-    return DUSTED * _smooth((upright - CROWN_TOP[0]) / (CROWN_TOP[1] - CROWN_TOP[0]))
+    return DUSTED * smoothstep_of((upright - CROWN_TOP[0]) / (CROWN_TOP[1] - CROWN_TOP[0]))
 
 
 @internal
@@ -95,12 +96,6 @@ def _rough(x_m, y_m, wave_m, pixel_m):
     """Noise about -1 to 1, fixed to the ground; it goes where pixels are as wide as its waves."""
     share = min(max(2.0 - 2.0 * pixel_m / wave_m, 0.0), 1.0)
     return share * fractal_at(x_m / wave_m, y_m / wave_m, SNOW_OCTAVES, SNOW_SEED) if share > 0.0 else 0.0
-
-
-@internal
-def _smooth(share):
-    share = min(max(share, 0.0), 1.0)
-    return share * share * (3.0 - 2.0 * share)
 
 
 def called_for(descriptor: Descriptor) -> Verdict:

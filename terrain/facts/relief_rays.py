@@ -16,6 +16,7 @@ from terrain.compiled import compiled
 from terrain.facts.probes import ProbeRays, Probes
 from terrain.geo.world import LocalFrame, World
 from terrain.ground.elevation import Elevation
+from terrain.interpolation_loops import blend_corners, cell_before
 
 SKIP_BLOCK_CELLS = 16
 """Side of the blocks of cells that are passed over at once."""
@@ -136,12 +137,9 @@ def _blocked(heights, tops, highest, side, row, col, height, d_row, d_col, rise,
                     out_col = ((block_col + (d_col[i, n] > 0.0)) * side - c) / d_col[i, n] if d_col[i, n] != 0.0 else np.inf
                     t += max(min(out_row, out_col), 0.0) + over * step
                     continue
-                r0, c0 = min(int(r), max(rows - 2, 0)), min(int(c), max(cols - 2, 0))
-                r1, c1 = min(r0 + 1, rows - 1), min(c0 + 1, cols - 1)
-                fr, fc = r - r0, c - c0
-                ground = (heights[r0, c0] * (1.0 - fc) + heights[r0, c1] * fc) * (1.0 - fr)
-                ground += (heights[r1, c0] * (1.0 - fc) + heights[r1, c1] * fc) * fr
-                if ground > h:
+                r0, r1, down = cell_before(r, rows)
+                c0, c1, across = cell_before(c, cols)
+                if blend_corners(heights[r0, c0], heights[r0, c1], heights[r1, c0], heights[r1, c1], down, across) > h:
                     out[i, n] = True
                     break
                 # To the next row or column of cells: bilinear ground has its edges there.

@@ -20,6 +20,7 @@ from terrain.gbuffer.tree_instances import TreeInstances
 from terrain.geo.camera import PerspectiveView
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
+from terrain.interpolation import bilinear
 from terrain.scene import Scene
 from terrain.scene_objects import SceneObjects
 
@@ -174,14 +175,3 @@ def ground_points(world: World, elevation: Elevation) -> Probes:
     known = np.isfinite(normal).all(axis=1) & np.isfinite(point).all(axis=1)
     none = np.zeros(int(known.sum()))
     return Probes(frame, point[known], normal[known], none, none, np.full(len(none), RELIEF, np.uint8), np.arange(len(none)))
-
-
-def bilinear(heights: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """Heights (n,) float64 between the cells (rows, cols) of a grid at (fractional) rows and columns (n,) inside of it."""
-    rows, cols = heights.shape
-    r0, c0 = np.minimum(row.astype(int), max(rows - 2, 0)), np.minimum(col.astype(int), max(cols - 2, 0))
-    r1, c1 = np.minimum(r0 + 1, rows - 1), np.minimum(c0 + 1, cols - 1)
-    fr, fc = row - r0, col - c0
-    north = heights[r0, c0] * (1.0 - fc) + heights[r0, c1] * fc
-    south = heights[r1, c0] * (1.0 - fc) + heights[r1, c1] * fc
-    return np.asarray(north * (1.0 - fr) + south * fr, np.float64)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from morecantile import TileMatrixSet
 
 BLOCK_PX = 1024
+TILE_PX = 256
 """Side of a map block in pixels: the unit of work and of caching."""
 
 MAX_WINDOW_NODES = 8192

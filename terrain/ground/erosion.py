@@ -17,6 +17,7 @@ import numpy as np
 
 from terrain.compiled import compiled
 from terrain.ground.noise import fractal_at
+from terrain.interpolation_loops import cell_before, lerp_corners
 
 TIME_STEPS = (40, 20, 12, 8, 6)
 """Steps of time on the coarsest grid and on those that follow; the last figure for all finer ones."""
@@ -132,8 +133,7 @@ def _refined(coarse, shift, seed):
                 x += here * fractal_at(u, v, 2, seed)
                 y += here * fractal_at(u + 31.7, v + 47.1, 2, seed + 1)
             x, y = min(max(x, 0.0), cols - 1.0), min(max(y, 0.0), rows - 1.0)
-            a, c = min(int(y), rows - 2), min(int(x), cols - 2)
-            north = coarse[a, c] + (x - c) * (coarse[a, c + 1] - coarse[a, c])
-            south = coarse[a + 1, c] + (x - c) * (coarse[a + 1, c + 1] - coarse[a + 1, c])
-            fine[i, j] = north + (y - a) * (south - north)
+            a, b, down = cell_before(y, rows)
+            c, d, across = cell_before(x, cols)
+            fine[i, j] = lerp_corners(coarse[a, c], coarse[a, d], coarse[b, c], coarse[b, d], down, across)
     return fine

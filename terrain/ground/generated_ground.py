@@ -8,7 +8,6 @@ hashes, and arithmetic is addition, multiplication, division and square roots, w
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 
 from terrain.cache import MIB, cached
-from terrain.compiled import compiled, internal
+from terrain.compiled import compiled, internal, on_cores
 from terrain.ground.erosion import drained
 from terrain.ground.noise import fractal, noise_at, ridged_at
 from terrain.level.parts import FlatGround, GeneratedGround, Terrain
@@ -127,10 +126,7 @@ def _risen(rows: int, cols: int, seed: int, uplift: Callable[[np.ndarray, np.nda
 def _by_strips(function: Callable[..., None], rows: int, cols: int, *parameters: Any) -> np.ndarray:
     """``function(out, row0, *parameters)`` fills each strip of nodes (rows + 1, cols + 1) float32, in threads."""
     out = np.empty((rows + 1, cols + 1), np.float32)
-    with ThreadPoolExecutor() as threads:
-        starts = range(0, rows + 1, STRIP_ROWS)
-        for work in [threads.submit(function, out[row : row + STRIP_ROWS], row, *parameters) for row in starts]:
-            work.result()
+    on_cores(lambda row: function(out[row : row + STRIP_ROWS], row, *parameters), range(0, rows + 1, STRIP_ROWS))
     return out
 
 

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from terrain.cache import MIB, Cache, Missing, cached
+from terrain.cache import MIB, Cache, Missing
 from terrain.geo.grid import Grid
 from terrain.geo.world import World
 from terrain.ground.elevation import Elevation
+from terrain.ground.grid_key import grid_key
 
 TILE_NODES = 512
 """Side of a tile, in nodes, half a block's; tiles lie on multiples of it, counted from the grid's origin."""
@@ -23,15 +24,6 @@ Heights = tuple[np.ndarray, np.ndarray]
 _tiles: Cache[Heights | None] = Cache("terrain.ground.height_tiles", "scene", 192 * MIB)
 
 
-class _GridOfScene:
-    """Stands for a grid over a scene's ground in the tiles' keys."""
-
-
-@cached("scene", MIB, size_of=lambda _: 512)
-def _grid_of_scene(world: World, elevation: Elevation, grid: Grid) -> _GridOfScene:
-    return _GridOfScene()
-
-
 def tiled_heights(
     world: World,
     elevation: Elevation,
@@ -43,7 +35,7 @@ def tiled_heights(
     cols: int,
 ) -> Heights:
     """What ``read(row0, col0, rows, cols)`` says of a window of a grid's nodes, of tiles that are read once."""
-    owner = _grid_of_scene(world, elevation, grid)
+    owner = grid_key(world, elevation, grid)
     height, there = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
     for row, top, bottom in _cuts(row0, rows):
         for col, left, right in _cuts(col0, cols):

@@ -15,6 +15,7 @@ from terrain.geo.axes import axes_of
 from terrain.geo.world import World, is_longitude_latitude, transformer
 from terrain.ground.georeference import check_cells, check_geotransform
 from terrain.ground.open_raster import dataset_with_masks
+from terrain.interpolation_loops import blend_corners, cell_before
 from terrain.level.rasters import open_raster
 from terrain.srgb import linear_of_srgb
 
@@ -125,10 +126,9 @@ def _sample(colors, cells, where, factor, out):
             if not (r >= -0.5 and c >= -0.5 and r <= rows - 0.5 and c <= cols - 0.5):
                 continue
             r, c = min(max(r, 0.0), rows - 1.0), min(max(c, 0.0), cols - 1.0)
-            r0, c0 = min(int(r), max(rows - 2, 0)), min(int(c), max(cols - 2, 0))
-            r1, c1 = min(r0 + 1, rows - 1), min(c0 + 1, cols - 1)
-            fr, fc = r - r0, c - c0
+            r0, r1, down = cell_before(r, rows)
+            c0, c1, across = cell_before(c, cols)
             for k in range(3):
-                top = colors[r0, c0, k] * (1.0 - fc) + colors[r0, c1, k] * fc
-                bottom = colors[r1, c0, k] * (1.0 - fc) + colors[r1, c1, k] * fc
-                out[i, j, k] = top * (1.0 - fr) + bottom * fr
+                out[i, j, k] = blend_corners(
+                    colors[r0, c0, k], colors[r0, c1, k], colors[r1, c0, k], colors[r1, c1, k], down, across
+                )

@@ -23,6 +23,7 @@ from terrain.cache import MIB, cached
 from terrain.compiled import compiled, in_shares, internal
 from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, is_longitude_latitude, transformer
 from terrain.ground.elevation import Elevation
+from terrain.interpolation_loops import lerp_corners
 
 LONGEST_NODES = 1024
 """Longest side of the grid on which a raster's horizons are found."""
@@ -412,7 +413,7 @@ def _bilinear(values, begin, rows, cols, row, col, scale):
     r0, c0, down, across = _corner(rows, cols, row, col, scale)
     right, below = min(c0 + 1, cols - 1) - c0, (min(r0 + 1, rows - 1) - r0) * cols
     at = begin + r0 * cols + c0
-    return _between(values[at], values[at + right], values[at + below], values[at + below + right], down, across)
+    return lerp_corners(values[at], values[at + right], values[at + below], values[at + below + right], down, across)
 
 
 @internal
@@ -434,7 +435,7 @@ def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
         )
     west, east, south_west, south_east = upper[0], upper[1], lower[0], lower[1]
     for n in range(out.size):
-        out[n] = _between(west[n], east[n], south_west[n], south_east[n], down[n], across[n])
+        out[n] = lerp_corners(west[n], east[n], south_west[n], south_east[n], down[n], across[n])
 
 
 @internal
@@ -443,9 +444,3 @@ def _corner(rows, cols, row, col, scale):
     r, c = min(max((row + 0.5) * scale - 0.5, 0.0), rows - 1.0), min(max((col + 0.5) * scale - 0.5, 0.0), cols - 1.0)
     r0, c0 = np.int32(r if r > 0.0 else 0.0), np.int32(c if c > 0.0 else 0.0)
     return r0, c0, r - r0, c - c0
-
-
-@internal
-def _between(west, east, south_west, south_east, down, across):
-    north, south = west + across * (east - west), south_west + across * (south_east - south_west)
-    return north + down * (south - north)

@@ -10,18 +10,31 @@ import re
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from terrain.errors import Fault, LevelError, SourceError
 from terrain.level.linked_files import files_beside, is_remote
 from terrain.level.rasters import open_raster
 
-if TYPE_CHECKING:
-    from terrain.level.level import LoadedLevel
-
 _SCHEMES = ("http", "https", "ftp", "s3", "gs", "az", "oss", "swift")
 _ARCHIVES = re.compile(r"(?:/vsi(?:zip|gzip|tar|7z|rar)/)+")
 _ELSEWHERE = re.compile(r"/vsi(?:curl|s3|gs|az|adls|oss|swift|webhdfs|hdfs|mem)(?:_streaming)?[/?]")
+
+
+class LevelFiles(Protocol):
+    """The files of a level that was read: ``LoadedLevel`` has them."""
+
+    @property
+    def path(self) -> Path:
+        """The level's file."""
+
+    @property
+    def archives(self) -> Sequence[Path]:
+        """Its archives of tiles."""
+
+    @property
+    def linked_sources(self) -> Sequence[str]:
+        """The files and addresses that it leads to."""
 
 
 class DataRoots:
@@ -47,7 +60,7 @@ class DataRoots:
                 for link in filter(os.path.islink, (os.path.join(folder, name) for name in (*folders, *names))):
                     self.check_path(level, link)
 
-    def check_level(self, loaded: LoadedLevel) -> None:
+    def check_level(self, loaded: LevelFiles) -> None:
         """Look at a level's file, all that it leads to, and what lies beside that."""
         for archive in loaded.archives:
             self.check_path(loaded.path, str(archive))
@@ -57,7 +70,7 @@ class DataRoots:
                 for beside in filter(os.path.islink, map(str, files_beside(Path(file)))):
                     self.check_path(loaded.path, beside)
 
-    def check_opened(self, loaded: LoadedLevel) -> None:
+    def check_opened(self, loaded: LevelFiles) -> None:
         """Look at what GDAL says that it opens for the level's rasters: text that leads to a file has many forms."""
         known = dict.fromkeys(each for each in loaded.linked_sources if not is_remote(each))
         waiting = list(known)

@@ -98,7 +98,7 @@ def test_a_process_that_there_is_no_thread_to_ask_in_is_kept(monkeypatch: pytest
         with monkeypatch.context() as patch:
             patch.setattr(pool, "_threads", ThreadPoolExecutor(2))
             for worker in pool._workers:
-                patch.setattr(worker, "_threads", pool._threads)
+                patch.setattr(worker._child, "_threads", pool._threads)
             for number in range(3):
                 with no_threads(monkeypatch), pytest.raises(ExhaustedError):
                     await pool.run(block(number))

@@ -16,7 +16,7 @@ def test_defaults_are_safe():
 
 @pytest.mark.parametrize(("cores", "workers"), [(1, 1), (2, 2), (64, 4)])
 def test_a_render_process_per_core_within_reason(monkeypatch: pytest.MonkeyPatch, cores: int, workers: int):
-    monkeypatch.setattr(module, "cores", lambda: cores)
+    monkeypatch.setattr(module, "usable_cores", lambda: cores)
     assert load_settings().workers == workers
 
 

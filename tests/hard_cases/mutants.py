@@ -56,14 +56,14 @@ def _z_pass_always() -> None:
 
 
 def _constant_bias() -> None:
-    from shadows.maps import shadow_map
+    from shadows.maps import filling
 
-    look_up = shadow_map.look_up
+    look_up = filling.look_up
 
     def without_slope(gl: Any, drawn: Any, target: Any, buffer: Any, light: Any, settings: Any, *rest: Any) -> None:
         look_up(gl, drawn, target, buffer, light, settings.model_copy(update={"bias": "normal_offset", "bias_scale": 0.0}), *rest)
 
-    shadow_map.look_up = without_slope
+    filling.look_up = without_slope
 
 
 def _near_plane() -> None:

@@ -1,4 +1,4 @@
-"""Rows of a picture that cores share."""
+"""Rows and other parts that cores share."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from terrain import compiled as compiled_module
-from terrain.compiled import in_shares
+from terrain.compiled import in_shares, on_cores
 
 
 @pytest.mark.parametrize("cores", [1, 2, 5])
@@ -30,3 +30,29 @@ def test_what_a_share_raises_is_raised(monkeypatch):
 
     with pytest.raises(ValueError, match="row 0"):
         in_shares(100, fail)
+
+
+@pytest.mark.parametrize("cores", [1, 2, 5])
+def test_parts_on_cores_are_all_done_and_in_order(cores):
+    assert on_cores(lambda part: part * part, range(7), cores) == [0, 1, 4, 9, 16, 25, 36]
+    assert on_cores(lambda part: part, [], cores) == []
+
+
+@pytest.mark.parametrize("cores", [1, 3])
+def test_parts_on_cores_may_share_rows_out_themselves(monkeypatch, cores):
+    monkeypatch.setattr(compiled_module, "CORES", 2)
+    met = np.zeros((6, 40), np.int64)
+
+    def share_out(part: int) -> None:
+        def meet(first: int, last: int) -> None:
+            met[part, first:last] += 1
+
+        in_shares(40, meet)
+
+    on_cores(share_out, range(6), cores)
+    assert (met == 1).all()
+
+
+def test_what_a_part_raises_is_raised():
+    with pytest.raises(ZeroDivisionError):
+        on_cores(lambda part: 1 // part, [1, 0], 2)

@@ -32,7 +32,8 @@ def serve(
     from api.catalogue import ARCHIVE_SUFFIX, bundled_levels
     from api.settings import load_settings
     from api.workers.spawned import Spawned
-    from api.workers.worker_main import first_config, worker_main
+    from api.workers.worker_config import first_config
+    from api.workers.worker_main import worker_main
     from terrain.level.level_source import LevelSource
 
     options = {"host": host, "port": port, "workers": workers, "levels": folder}

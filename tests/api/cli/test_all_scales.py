@@ -13,7 +13,7 @@ from api.map_probing import map_block, probe_blocks, probed_scales
 from api.workers.jobs import Tiles
 from api.workers.map_plans import plan_in_service, unprobed_class
 from api.workers.plan_basis import PlanBasis
-from api.workers.render_worker import tiles_view
+from api.workers.worker_state import tiles_view
 from selector.cost.device_profile import DeviceProfile
 from selector.cost.usual_device import usual_device
 from selector.kept_probes import load_probes, probes_folder

@@ -20,7 +20,7 @@ from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW, encode_picture, p
 from api.settings import Settings
 from api.workers.jobs import LevelKey
 from api.workers.process_life import resident_bytes
-from api.workers.render_worker import MAX_PROCESS_BYTES, SceneCache
+from api.workers.worker_state import MAX_PROCESS_BYTES, SceneCache
 from terrain.level.parts import SunSpec
 from tests.api.conftest import Client, running
 from tests.api.http.test_problems import check_problem

@@ -202,6 +202,8 @@ def test_tiles_of_the_same_bytes_keep_answers_of_their_own(serve, tmp_path: Path
         write_tiles(tmp_path / f"{name}.pmtiles", {(ZOOM, X, Y): tile_of(1)}, query=query)
     moments = [None, "2024-06-21T18:00:00+02:00", "2024-06-21T16:00:00+00:00"]
     with serve({"archive": ["a.pmtiles", "b.pmtiles"]}, tile_cache_bytes=2**20, level_check_s=60.0) as client:
+        while not client.service.pool.ready:  # what is sent hangs on the renderer, too
+            client.get("/readyz")
         for again in range(2):
             before = client.service.tiles.hits
             for moment in moments:

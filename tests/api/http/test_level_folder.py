@@ -21,7 +21,7 @@ from api.http.app import create_app
 from api.http.served_levels import ServedLevels
 from api.settings import Settings
 from api.workers.jobs import Failure, Ping, Pong, Ready
-from api.workers.worker_main import WorkerConfig
+from api.workers.worker_config import WorkerConfig
 from terrain.errors import InputError, LevelError
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
 from tests.api.http.test_problems import check_problem

@@ -17,7 +17,8 @@ from api.http.sent_descriptor import MAX_LAMPS, FactsByEffect, SentDescriptor
 from api.settings import Settings
 from api.workers.jobs import DescribedPlanJob, Tiles
 from api.workers.plan_basis import PlanBasis
-from api.workers.render_worker import TilePlanCache, WorkerState, block_view, run_job, tiles_view
+from api.workers.render_worker import run_job
+from api.workers.worker_state import TilePlanCache, WorkerState, block_view, tiles_view
 from selector.cost.device_profile import DeviceProfile, digest_of
 from selector.select import plan_of_view
 from shadows.plan import Plan
@@ -299,7 +300,7 @@ def test_pictures_of_another_calibration_have_other_tags(serve_with):
 
 def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
     from api.workers.jobs import BlockJob, LevelKey
-    from api.workers.render_worker import plan_of_tiles
+    from api.workers.worker_state import plan_of_tiles
 
     scene = build_scene(load_level(hills_level))
     jobs = [

@@ -14,7 +14,7 @@ from api.http.served_levels import ServedLevels
 from api.level_summary import remarks
 from api.settings import Settings
 from api.workers.jobs import LevelKey
-from api.workers.render_worker import SceneCache
+from api.workers.worker_state import SceneCache
 from terrain.errors import InputError, LevelError, NotFoundError, SkuggaError, SourceError, UnsupportedError
 from tests.api.conftest import running, write_level
 from tests.api.http.test_problems import check_problem

@@ -17,7 +17,8 @@ from api.seed.running import shard_name
 from api.seed.seeding import FAILED_LIST
 from api.seed.task_table import TaskTable
 from api.workers.jobs import BlockJob, LevelKey
-from api.workers.render_worker import WorkerState, run_job
+from api.workers.render_worker import run_job
+from api.workers.worker_state import WorkerState
 from shadows import render
 from terrain.errors import InputError, RenderError
 from terrain.level.parts import SunSpec

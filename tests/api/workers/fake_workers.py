@@ -29,7 +29,7 @@ from api.workers.jobs import (
     Ready,
 )
 from api.workers.plan_basis import PlanBasis
-from api.workers.worker_main import WorkerConfig
+from api.workers.worker_config import WorkerConfig
 from selector.map_probes import MapClass
 from terrain.errors import GraphicsError, InputError, RenderError
 

@@ -16,7 +16,7 @@ import pytest
 from api.seed import local_pool
 from api.workers.jobs import Ready
 from api.workers.pool import Pool
-from api.workers.worker_main import WorkerConfig
+from api.workers.worker_config import WorkerConfig
 from tests.api.http.test_serve import ROOT
 from tests.api.workers.test_pool import until, with_pool
 from tests.terrain.gl.egl_machines import two_mesas

@@ -1,0 +1,71 @@
+"""Visibility by depth maps: each is drawn, and its points are looked up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from shadows.maps.drawing import MapSettings, depths, draw_map, drawn_ahead
+from shadows.maps.lookup import look_up
+from shadows.maps.windows import DepthMap
+from shadows.passes import PassLog
+from terrain.casters.reach import Casters
+from terrain.gbuffer.geometry import GeometryBuffer
+from terrain.gl.device import device
+from terrain.level.level import CasterKind
+from terrain.scene import Scene
+
+if TYPE_CHECKING:
+    from moderngl import Framebuffer
+
+
+def visibility_by_maps(
+    maps: Sequence[DepthMap],
+    buffer: GeometryBuffer,
+    scene: Scene,
+    light: str,
+    kinds: tuple[CasterKind, ...],
+    casters: Casters,
+    settings: MapSettings,
+    passes: tuple[str, str],
+    log: PassLog,
+) -> np.ndarray:
+    """Draw maps of a light and look a buffer's points up in them.
+
+    Parameters
+    ----------
+    maps
+        The maps to draw. Without any, everything is lit, and the second pass is put on record without work.
+    buffer, scene, light, kinds, casters, settings, log
+        As in ``Fill``.
+    passes
+        The names of the pass that draws and of the pass that looks up.
+
+    Returns
+    -------
+    numpy.ndarray
+        Visibility (rows, cols) float32 in [0, 1].
+
+    Raises
+    ------
+    GraphicsError
+        Where OpenGL fails.
+    """
+    draw_pass, look_up_pass = passes
+    visibility = np.ones(buffer.there.shape, np.float32)
+    if not maps:
+        with log.run(look_up_pass):
+            return visibility
+    gl = device()
+
+    def draw(drawn: DepthMap) -> Framebuffer:
+        with log.run(draw_pass) as record:
+            return draw_map(gl, drawn, buffer, scene, kinds, casters, settings, record)
+
+    for drawn, target in drawn_ahead(maps, draw):
+        log.keep("shadow-map", light, depths, gl, drawn, target)
+        with log.run(look_up_pass) as record:
+            look_up(gl, drawn, target, buffer, scene.light_position(light, buffer.frame), settings, visibility, record)
+    return visibility

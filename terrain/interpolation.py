@@ -1,0 +1,40 @@
+"""Interpolation of arrays: smoothstep, and bilinear look-ups. Imports no numba; ``terrain.interpolation_loops`` is for loops."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def smoothstep(share: np.ndarray | float) -> np.ndarray:
+    """Return 3 t^2 - 2 t^3 of shares, which are clamped to [0, 1] first."""
+    share = np.clip(share, 0.0, 1.0)
+    return np.asarray(share * share * (3.0 - 2.0 * share))
+
+
+def bilinear(values: np.ndarray, row: np.ndarray, col: np.ndarray, layer: np.ndarray | None = None) -> np.ndarray:
+    """Interpolate between the cells of a grid.
+
+    Parameters
+    ----------
+    values
+        A grid (rows, cols), or one per layer (layers, rows, cols).
+    row, col
+        Fractional rows and columns (n,), from 0 to the last one.
+    layer
+        The number (n,) of each point's layer, if there are layers.
+
+    Returns
+    -------
+    numpy.ndarray
+        Values (n,) float64.
+    """
+    rows, cols = values.shape[-2:]
+    r0, c0 = np.minimum(row.astype(int), max(rows - 2, 0)), np.minimum(col.astype(int), max(cols - 2, 0))
+    r1, c1 = np.minimum(r0 + 1, rows - 1), np.minimum(c0 + 1, cols - 1)
+    grids = () if layer is None else (layer,)
+    corners = (values[(*grids, *corner)] for corner in ((r0, c0), (r0, c1), (r1, c0), (r1, c1)))
+    north_west, north_east, south_west, south_east = corners
+    down, across = row - r0, col - c0
+    north = north_west * (1.0 - across) + north_east * across
+    south = south_west * (1.0 - across) + south_east * across
+    return np.asarray(north * (1.0 - down) + south * down, np.float64)

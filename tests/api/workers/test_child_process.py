@@ -1,0 +1,118 @@
+"""A child process is started, waited for and ended for good, whatever it does meanwhile."""
+
+import asyncio
+import os
+import time as clock
+from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.connection import Connection
+from typing import Any
+
+import pytest
+
+from api.workers.child_process import ChildProcess
+from api.workers.spawned import PipedProcess
+
+
+def echo(pipe: Connection, word: str) -> None:
+    """Say a word, then what is heard, until the pipe is closed."""
+    pipe.send(word)
+    try:
+        while True:
+            pipe.send(pipe.recv())
+    except EOFError:
+        return
+
+
+def leave(pipe: Connection, status: int) -> None:
+    """End at once."""
+    os._exit(status)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def with_child(scenario: Callable[[ChildProcess], Coroutine[Any, Any, None]], target: Callable[..., None], *args: Any) -> None:
+    """Run a scenario with a child, which is ended after it."""
+
+    async def run(threads: ThreadPoolExecutor) -> None:
+        child = ChildProcess(PipedProcess(target, *args, name="a test's"), threads)
+        try:
+            await scenario(child)
+        finally:
+            await child.end()
+        assert child.pipe.closed
+        assert child.pid is None or not is_alive(child.pid)
+
+    with ThreadPoolExecutor(1) as threads:  # it waits for the thread, which ends with the process
+        asyncio.run(run(threads))
+
+
+def test_a_child_answers_and_is_gone_after_its_end():
+    async def scenario(child: ChildProcess) -> None:
+        await child.start()
+        assert child.pid is not None and child.exitcode is None
+        assert await child.in_new_thread(child.pipe.recv) == "ready"
+        child.pipe.send(7)
+        assert await child.in_new_thread(child.pipe.recv) == 7
+
+    with_child(scenario, echo, "ready")
+
+
+def test_a_child_that_never_answers_frees_its_thread():
+    async def scenario(child: ChildProcess) -> None:
+        await child.start()
+        await child.in_new_thread(child.pipe.recv)
+        waiting = child.in_new_thread(child.pipe.recv)
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(asyncio.shield(waiting), 0.05)
+
+    with_child(scenario, echo, "ready")
+
+
+def test_a_child_that_ends_by_itself_leaves_its_status():
+    async def scenario(child: ChildProcess) -> None:
+        await child.start()
+        with pytest.raises(EOFError):
+            await child.in_new_thread(child.pipe.recv)
+        await child.gone()
+        assert child.exitcode == 3
+
+    with_child(scenario, leave, 3)
+
+
+def test_the_end_waits_for_a_start_that_was_given_up(monkeypatch: pytest.MonkeyPatch):
+    start = PipedProcess.start
+
+    def slow_start(self: PipedProcess) -> None:
+        clock.sleep(0.2)
+        start(self)
+
+    monkeypatch.setattr(PipedProcess, "start", slow_start)
+
+    async def scenario(child: ChildProcess) -> None:
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(child.start(), 0.05)
+        assert child.pid is None
+        await child.end()
+        assert child.pid is not None and not is_alive(child.pid)
+
+    with_child(scenario, echo, "ready")
+
+
+def test_a_child_that_cannot_be_started_leaves_no_pipe_open(monkeypatch: pytest.MonkeyPatch):
+    def fail(self: PipedProcess) -> None:
+        raise OSError("no process")
+
+    monkeypatch.setattr(PipedProcess, "start", fail)
+
+    async def scenario(child: ChildProcess) -> None:
+        with pytest.raises(OSError, match="no process"):
+            await child.start()
+
+    with_child(scenario, echo, "ready")

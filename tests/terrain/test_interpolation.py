@@ -1,0 +1,59 @@
+"""Interpolation says the same of arrays and in loops."""
+
+import numpy as np
+import pytest
+
+from terrain.compiled import compiled
+from terrain.interpolation import bilinear, smoothstep
+from terrain.interpolation_loops import blend_corners, cell_before, lerp_corners, smoothstep_of
+
+
+@compiled
+def _smooth_all(shares, out):
+    for n in range(shares.size):
+        out[n] = smoothstep_of(shares[n])
+
+
+@compiled
+def _look_up_all(values, row, col, by_steps, out):
+    rows, cols = values.shape
+    for n in range(row.size):
+        r0, r1, down = cell_before(row[n], rows)
+        c0, c1, across = cell_before(col[n], cols)
+        corners = values[r0, c0], values[r0, c1], values[r1, c0], values[r1, c1]
+        if by_steps:
+            out[n] = lerp_corners(corners[0], corners[1], corners[2], corners[3], down, across)
+        else:
+            out[n] = blend_corners(corners[0], corners[1], corners[2], corners[3], down, across)
+
+
+def test_smoothstep_is_flat_at_both_ends_and_clamped():
+    np.testing.assert_array_equal(smoothstep(np.array([-1.0, 0.0, 0.5, 1.0, 2.0])), [0.0, 0.0, 0.5, 1.0, 1.0])
+    assert smoothstep(0.25) == 0.15625
+
+
+def test_smoothstep_of_a_loop_is_that_of_arrays_to_the_bit():
+    shares = np.random.default_rng(1).uniform(-0.5, 1.5, 1000)
+    out = np.empty_like(shares)
+    _smooth_all(shares, out)
+    np.testing.assert_array_equal(out, smoothstep(shares))
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (1, 7), (5, 1), (1, 1)])
+def test_look_ups_agree(shape):
+    rng = np.random.default_rng(2)
+    values = rng.uniform(-100.0, 4000.0, shape).astype(np.float32)
+    row, col = (rng.uniform(0.0, 1.0, 500) * (size - 1) for size in shape)
+    row[:2], col[:2] = (0, shape[0] - 1), (0, shape[1] - 1)
+    expected, found, stepped = bilinear(values, row, col), np.empty(500), np.empty(500)
+    _look_up_all(values, row, col, False, found)
+    _look_up_all(values, row, col, True, stepped)
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_allclose(stepped, expected, rtol=0.0, atol=1e-3)
+    assert expected[0] == values[0, 0] and expected[1] == values[-1, -1]
+
+
+def test_bilinear_goes_by_the_layer_of_each_point():
+    layers = np.arange(12.0).reshape(3, 2, 2)
+    found = bilinear(layers, np.array([0.5, 0.5]), np.array([0.5, 0.5]), np.array([0, 2]))
+    np.testing.assert_array_equal(found, [1.5, 9.5])
