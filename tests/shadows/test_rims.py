@@ -42,7 +42,8 @@ def test_a_wall_shades_its_outermost_lines(gl, write_raster, azimuth, algorithm)
     length = behind.sum(axis=0)
     aside = LENGTH_CELLS * np.abs(np.tan(np.radians(azimuth - 180.0 if abs(azimuth - 180.0) < 45.0 else azimuth - 90.0)))
     reached = slice(int(np.ceil(aside - 0.5)), None)  # from there on rays run over cells up to the wall, which lies west of north
-    assert length[SIZE // 2] == int(LENGTH_CELLS * np.cos(np.radians(azimuth - 180.0))) if azimuth == 200.0 else LENGTH_CELLS
+    middle = int(LENGTH_CELLS * np.cos(np.radians(azimuth - 180.0))) if azimuth == 200.0 else LENGTH_CELLS
+    assert length[SIZE // 2] == middle
     np.testing.assert_array_equal(length[reached], length[SIZE // 2])
 
 
