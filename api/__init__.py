@@ -1,5 +1,5 @@
 """What users touch: the HTTP service, its render processes, the command line, and pages of figures.
 
-May import all floors. Beside the rooms lies what these share: the table of errors, settings, the levels there are, layers as files,
+Beside the folders lies what these share: the table of errors, settings, the levels there are, layers as files,
 and parameters made of the settings of shadows.
 """

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from configs import LEVELS_FOLDER
-from terrain.errors import Fault, InputError
-from terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
+from skugga.configs import LEVELS_FOLDER
+from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
 
 RASTER_SUFFIXES = ".tif", ".tiff", ".vrt", ".img", ".asc", ".hgt"
 """Usual ones of rasters of heights, by which those in a folder are named."""

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from terrain.cache import MIB, cached
+from skugga.terrain.cache import MIB, cached
 
 LegendFormat = Literal["png", "svg"]
 LEGEND_MEDIA_TYPES: dict[LegendFormat, str] = {"png": "image/png", "svg": "image/svg+xml"}

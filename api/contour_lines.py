@@ -9,8 +9,8 @@ import numpy as np
 import rasterio
 from rasterio.windows import Window
 
-from terrain.errors import InputError
-from terrain.whole_files import replaced_whole, write_error
+from skugga.terrain.errors import InputError
+from skugga.terrain.whole_files import replaced_whole, write_error
 
 WINDOW_CELLS = 2048
 """Cells along a window; neighbours share a row or column, on which their lines end at the same points."""

@@ -6,11 +6,11 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from api.report.plan_text import LINE_WIDTH, display_name
-from selector.cost.device_profile import DeviceProfile, load_profile
-from selector.formatting import format_duration, format_percent
-from shadows.registry import ALGORITHMS
-from terrain.level.level import Shadows
+from skugga.api.report.plan_text import LINE_WIDTH, display_name
+from skugga.selector.cost.device_profile import DeviceProfile, load_profile
+from skugga.selector.formatting import format_duration, format_percent
+from skugga.shadows.registry import ALGORITHMS
+from skugga.terrain.level.level import Shadows
 
 
 def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfile | None:
@@ -23,7 +23,7 @@ def calibration_for(shadows: Shadows, overrides: dict[str, Any]) -> DeviceProfil
 
 def calibration() -> DeviceProfile | None:
     """The calibration of the device that this process draws with; ``None`` where there is none, or no OpenGL."""
-    from terrain.gl import device as gl
+    from skugga.terrain.gl import device as gl
 
     return load_profile(*gl.renderer_and_version())
 

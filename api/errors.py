@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from terrain.errors import (
+from skugga.terrain.errors import (
     ArrayError,
     BusyError,
     GraphicsError,

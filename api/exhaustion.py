@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from typing import Any, TypeVar
 
-from api.errors import ExhaustedError
+from skugga.api.errors import ExhaustedError
 
 T = TypeVar("T")
 

@@ -6,8 +6,8 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from terrain.level.level import LoadedLevel
-from terrain.level.linked_files import files_beside, is_remote
+from skugga.terrain.level.level import LoadedLevel
+from skugga.terrain.level.linked_files import files_beside, is_remote
 
 MAX_FILES = 20_000
 """Of a mosaic: those beyond are not watched."""

@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from api.animated_webp import add_frame, animation_frame, changes, write_head, write_length
-from api.png import encode_png
-from terrain.errors import Fault, InputError
-from terrain.whole_files import replaced_together, replaced_whole
+from skugga.api.animated_webp import add_frame, animation_frame, changes, write_head, write_length
+from skugga.api.png import encode_png
+from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.whole_files import replaced_together, replaced_whole
 
 SEQUENCE_SUFFIX = ".png"
 FILM_SUFFIXES = ".webp", ".mp4"
@@ -112,7 +112,7 @@ class _Count:
 
 def _on_all_cores(work: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
     """What comes of each item in order; about as many as there are cores are worked on, and held, at a time."""
-    from terrain.compiled import CORES
+    from skugga.terrain.compiled import CORES
 
     with ThreadPoolExecutor(CORES, "skugga-encode") as threads:
         waiting: deque[Future[R]] = deque()

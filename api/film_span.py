@@ -5,11 +5,11 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from math import floor
 
-from selector.film_request import MOST_FRAMES, FilmSpan
-from terrain.errors import MISSING_VALUE, Fault, InputError
-from terrain.level.camera_file import CameraPathSpec
-from terrain.level.durations import DURATION_WORDS, parse_duration
-from terrain.level.parts import TIME_WORDS, time_of
+from skugga.selector.film_request import MOST_FRAMES, FilmSpan
+from skugga.terrain.errors import MISSING_VALUE, Fault, InputError
+from skugga.terrain.level.camera_file import CameraPathSpec
+from skugga.terrain.level.durations import DURATION_WORDS, parse_duration
+from skugga.terrain.level.parts import TIME_WORDS, time_of
 
 USUAL_FPS, LEAST_FPS, MOST_FPS = 25.0, 0.1, 120.0
 """Frames a second of a film that plays."""

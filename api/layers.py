@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
 import numpy as np
 
-from api.png import encode_png
-from api.terrain_encodings import terrain_rgb, terrarium
-from shadows.passes import PassLayer
-from terrain.errors import InputError
-from terrain.whole_files import write_whole
+from skugga.api.png import encode_png
+from skugga.api.terrain_encodings import terrain_rgb, terrarium
+from skugga.shadows.passes import PassLayer
+from skugga.terrain.errors import InputError
+from skugga.terrain.whole_files import write_whole
 
 if TYPE_CHECKING:
-    from shadows.render import Frame
-    from terrain.scene import Scene
+    from skugga.shadows.render import Frame
+    from skugga.terrain.scene import Scene
 
 PASS_LAYERS: frozenset[PassLayer] = frozenset(get_args(PassLayer))
 """Layers that an algorithm leaves behind, if it is told beforehand to keep them."""
@@ -156,7 +156,7 @@ def _heights(encoding: HeightEncoding) -> Callable[[Scene, Frame], np.ndarray]:
 
 def _depth(scene: Scene, frame: Frame) -> np.ndarray:
     """float32, metres: in a map straight down from the level's highest ground, else along the view's axis from the eye."""
-    from terrain.geo.grid import MapView
+    from skugga.terrain.geo.grid import MapView
 
     view = frame.view
     if isinstance(view, MapView):
@@ -166,7 +166,7 @@ def _depth(scene: Scene, frame: Frame) -> np.ndarray:
 
 def _position(scene: Scene, frame: Frame) -> np.ndarray:
     """float64 (rows, cols, 3): x and y in the view's CRS (of a perspective view, that of the level's maps), and the height."""
-    from terrain.geo.grid import MapView
+    from skugga.terrain.geo.grid import MapView
 
     view = frame.view
     out = np.full((view.rows, view.cols, 3), np.nan)
@@ -181,7 +181,7 @@ def _position(scene: Scene, frame: Frame) -> np.ndarray:
 
 
 def _kept(layer: PassLayer) -> Callable[[Scene, Frame], np.ndarray]:
-    """A layer of ``shadows.passes`` as it was kept, of the frame's first light."""
+    """A layer of ``skugga.shadows.passes`` as it was kept, of the frame's first light."""
 
     def data(scene: Scene, frame: Frame) -> np.ndarray:
         by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
@@ -363,7 +363,7 @@ def geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
     from rasterio.io import MemoryFile
     from rasterio.transform import from_bounds
 
-    from terrain.geo.grid import MapView
+    from skugga.terrain.geo.grid import MapView
 
     bands = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)
     where = {}

@@ -7,19 +7,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from terrain.errors import InputError, UnsupportedError, all_at_once
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
-from terrain.level.pin_scope import suns_left
-from terrain.scene import Scene, build_scene
+from skugga.terrain.errors import InputError, UnsupportedError, all_at_once
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.level.pin_scope import suns_left
+from skugga.terrain.scene import Scene, build_scene
 
 
 def _cost_of_soft_lamps(scene: Scene) -> list[str]:
     """What a block of a map is expected to take under lamps that are shown as balls, and which key makes it cheap."""
-    from api.device_calibration import calibration_for
-    from api.picture_cost import remedy
-    from selector.select import plan_of_view
+    from skugga.api.device_calibration import calibration_for
+    from skugga.api.picture_cost import remedy
+    from skugga.selector.select import plan_of_view
 
     plan = plan_of_view(scene, scene.view("map"), "map", policy="predict", device=calibration_for(scene.loaded.level.shadows, {}))
     cheaper = remedy(plan)
@@ -45,7 +45,7 @@ def remarks(source: Path | LevelSource) -> list[str]:
 
     Raises ``SkuggaError``: of what is read and placed for all at once.
     """
-    from selector.select import plan_of_view
+    from skugga.selector.select import plan_of_view
 
     scene = build_scene(load_level(source))
     objects, is_generated = scene.objects, scene.loaded.level.terrain.source is None
@@ -100,7 +100,7 @@ def _planned(scene: Scene) -> Iterator[tuple[str, Scene]]:
 
 def _read_all(scene: Scene) -> None:
     """Place a level's views and read the files that it names. Raises one ``InputError`` for all that is wrong with them."""
-    from terrain.gbuffer.picture import imagery_of
+    from skugga.terrain.gbuffer.picture import imagery_of
 
     objects = scene.objects
     wrong: list[InputError] = []

@@ -1,4 +1,4 @@
-"""Probes of a level's maps, scale by scale: what plans of its tiles go by (``selector.map_probes``)."""
+"""Probes of a level's maps, scale by scale: what plans of its tiles go by (``skugga.selector.map_probes``)."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Callable
 from math import log2
 from typing import TYPE_CHECKING, Any
 
-from selector.map_probes import MapClass, MapProbes, ProbedClass, map_class
-from selector.measure.probe import DEFAULT_BUDGET_S, ProbedView, probed_plan
-from terrain.errors import InputError
-from terrain.geo.grid import BLOCK_PX, MapView, map_view
-from terrain.ground.surface import map_pixel_m
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.selector.map_probes import MapClass, MapProbes, ProbedClass, map_class
+from skugga.selector.measure.probe import DEFAULT_BUDGET_S, ProbedView, probed_plan
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, map_view
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
-    from selector.cost.device_profile import DeviceProfile
+    from skugga.selector.cost.device_profile import DeviceProfile
 
 FINEST, COARSEST_PX = 3, 128
 """Probed are pixels of a cell's side over 2 ** ``FINEST``, and so on up to those of which ``COARSEST_PX`` show the level, as tiles
@@ -31,7 +31,7 @@ WIDE_BLOCKS = 2.0
 
 
 def probed_scales(scene: Scene) -> range:
-    """The scales of a level's tiles (``selector.map_probes.MapClass``)."""
+    """The scales of a level's tiles (``skugga.selector.map_probes.MapClass``)."""
     view, finest = _whole(scene), round(log2(scene.elevation.cell_size_m(scene.world.metres_per_unit))) - FINEST
     longest_m = max(view.rows, view.cols) * map_pixel_m(scene.world, view)
     return range(finest, max(round(log2(longest_m / COARSEST_PX)), finest) + 1)

@@ -9,11 +9,11 @@ from morecantile import Tile, TileMatrixSet
 from morecantile import tms as registered
 from pyproj import CRS
 
-from api.errors import NotServedError
-from terrain.cache import MIB, cached
-from terrain.geo.grid import TILE_PX, MapView, crs_of_tiles, step_at_anchor_m, tile_grid
-from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transformer
-from terrain.scene import Scene
+from skugga.api.errors import NotServedError
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.geo.grid import TILE_PX, MapView, crs_of_tiles, step_at_anchor_m, tile_grid
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, WGS84, World, transformer
+from skugga.terrain.scene import Scene
 
 LEVEL_TILES = 0.5
 """A level's longest side at the first zoom, about, in tiles."""

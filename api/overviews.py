@@ -18,17 +18,17 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetWriter
 from rasterio.windows import Window
 
-from api.raster_file import check_raster
-from terrain.compiled import compiled
-from terrain.errors import InputError, SourceError
-from terrain.ground.elevation import plausible_m
-from terrain.ground.georeference import crs_of
-from terrain.ground.open_raster import GTIFF_VERTICAL
-from terrain.ground.overview import lacks_overviews, overview_level
-from terrain.ground.vertical import vertical_axis
-from terrain.level.parts import Positive, Units
-from terrain.level.rasters import open_raster
-from terrain.whole_files import replaced_whole, write_error
+from skugga.api.raster_file import check_raster
+from skugga.terrain.compiled import compiled
+from skugga.terrain.errors import InputError, SourceError
+from skugga.terrain.ground.elevation import plausible_m
+from skugga.terrain.ground.georeference import crs_of
+from skugga.terrain.ground.open_raster import GTIFF_VERTICAL
+from skugga.terrain.ground.overview import lacks_overviews, overview_level
+from skugga.terrain.ground.vertical import vertical_axis
+from skugga.terrain.level.parts import Positive, Units
+from skugga.terrain.level.rasters import open_raster
+from skugga.terrain.whole_files import replaced_whole, write_error
 
 TILE_CELLS = 512
 """Side of a tile of the file."""

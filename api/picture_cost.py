@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from api.errors import TooCostlyError
-from api.settings import load_settings
-from selector.formatting import format_list
-from shadows.plan import Plan
-from terrain.errors import Fault
-from terrain.level.level import SUN
+from skugga.api.errors import TooCostlyError
+from skugga.api.settings import load_settings
+from skugga.selector.formatting import format_list
+from skugga.shadows.plan import Plan
+from skugga.terrain.errors import Fault
+from skugga.terrain.level.level import SUN
 
 NOTABLE_MS = 5000.0
 """From here on it is said what makes a picture cheaper."""

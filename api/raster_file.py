@@ -18,7 +18,7 @@ from rasterio.io import DatasetWriter
 from rasterio.shutil import copy
 from rasterio.windows import Window
 
-from terrain.whole_files import replaced_whole, write_error
+from skugga.terrain.whole_files import replaced_whole, write_error
 
 TILE = 512
 

@@ -9,9 +9,9 @@ from pydantic import Field, SecretStr, ValidationError, field_validator
 from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from terrain.cores import usable_cores
-from terrain.errors import Fault, InputError
-from terrain.gl.egl_devices import AUTO_DEVICE, read_setting
+from skugga.terrain.cores import usable_cores
+from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.gl.egl_devices import AUTO_DEVICE, read_setting
 
 MAX_DEFAULT_WORKERS = 4
 """Render processes that are started unasked at most: with a software rasteriser each takes about 1.5 GB."""

@@ -1,7 +1,7 @@
 """Shading of whole rasters: a map of any size, block by block, on a raster's own grid or another one, under many suns in one run.
 
-Memory is bounded by the block: far casters come from overviews, by the one rule that tiles follow (``terrain.casters.reach``).
-What does not depend on the sun (heights, normals) is read once for a block and serves all suns.
+Memory is bounded by the block: far casters come from overviews, by the one rule that tiles follow
+(``skugga.terrain.casters.reach``). What does not depend on the sun (heights, normals) is read once for a block and serves all suns.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from affine import Affine
 from pyproj import CRS
 from rasterio.errors import RasterioError
 
-from api.device_calibration import calibration_for
-from api.raster_file import RasterCells, RasterFile, RasterNotes, cog
-from api.shade_layers import SHADE_LAYERS
-from selector.select import plan_of_view
-from terrain.errors import MISSING_VALUE, InputError, SourceError
-from terrain.gbuffer.bare_ground import forget_ground_before
-from terrain.geo.axes import axes_of
-from terrain.geo.grid import Grid, MapView, blocks_of, step_at_anchor_m
-from terrain.level.level import spelt
-from terrain.level.parts import SunSpec
-from terrain.level.rasters import open_raster
-from terrain.scene import Scene
+from skugga.api.device_calibration import calibration_for
+from skugga.api.raster_file import RasterCells, RasterFile, RasterNotes, cog
+from skugga.api.shade_layers import SHADE_LAYERS
+from skugga.selector.select import plan_of_view
+from skugga.terrain.errors import MISSING_VALUE, InputError, SourceError
+from skugga.terrain.gbuffer.bare_ground import forget_ground_before
+from skugga.terrain.geo.axes import axes_of
+from skugga.terrain.geo.grid import Grid, MapView, blocks_of, step_at_anchor_m
+from skugga.terrain.level.level import spelt
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.level.rasters import open_raster
+from skugga.terrain.scene import Scene
 
 Bounds = tuple[float, float, float, float]
 

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
 
 if TYPE_CHECKING:
-    from shadows.plan import Plan
-    from terrain.geo.grid import MapView
-    from terrain.scene import Scene
+    from skugga.shadows.plan import Plan
+    from skugga.terrain.geo.grid import MapView
+    from skugga.terrain.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +37,8 @@ class ShadeLayer:
 
 
 def _visibility(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
-    from shadows.render import render_frame
-    from shadows.sunlit_ground import sunlit_ground
+    from skugga.shadows.render import render_frame
+    from skugga.shadows.sunlit_ground import sunlit_ground
 
     found = sunlit_ground(scene, view, plan)
     if found is None:
@@ -53,14 +53,14 @@ def _mask(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
 
 
 def _color(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
-    from shadows.ground_pictures import shown_map
+    from skugga.shadows.ground_pictures import shown_map
 
     shown = shown_map(scene, view, plan)
     return np.dstack([shown.color, np.where(shown.there, np.uint8(255), np.uint8(0))])
 
 
 def _shadow(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
-    from shadows.ground_pictures import shown_map
+    from skugga.shadows.ground_pictures import shown_map
 
     out = np.zeros((view.rows, view.cols, 4), np.uint8)
     out[..., 3] = shown_map(scene, view, plan).opacity
@@ -68,7 +68,7 @@ def _shadow(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
 
 
 def _cosi(scene: Scene, view: MapView, plan: Plan) -> np.ndarray:
-    from shadows.sunlit_ground import cosine_of_incidence
+    from skugga.shadows.sunlit_ground import cosine_of_incidence
 
     return cosine_of_incidence(scene, view)
 

@@ -6,8 +6,8 @@ import inspect
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from terrain.level.level import Shadows
-from terrain.level.setting import FrontEnd, Setting, settings_of
+from skugga.terrain.level.level import Shadows
+from skugga.terrain.level.setting import FrontEnd, Setting, settings_of
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 

@@ -18,10 +18,10 @@ from pydantic import ValidationError
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from api.raster_file import RasterCells
-from terrain.errors import Fault, InputError
-from terrain.level.level import parse_sun
-from terrain.level.parts import SunSpec
+from skugga.api.raster_file import RasterCells
+from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.level.level import parse_sun
+from skugga.terrain.level.parts import SunSpec
 
 SUN_FIELDS = ("view:sun_azimuth", "view:sun_elevation")
 

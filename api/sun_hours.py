@@ -8,20 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from api.contour_lines import write_contours
-from api.device_calibration import calibration_for
-from api.raster_file import RasterNotes, cog
-from api.shade import RasterView
-from api.sun_quantities import QUANTITIES, QUANTITY_NOTES
-from selector.select import plan_of_view
-from shadows.plan import Plan
-from shadows.sun_hours.sun_hours import SunRules, ground_extent, sun_hours
-from shadows.sun_hours.suns import window_suns
-from terrain.errors import InputError
-from terrain.gbuffer.covered_nodes import WIDE_M, is_bare
-from terrain.geo.daily_windows import DailyWindow, clock_text
-from terrain.geo.grid import BLOCK_PX, MapView, blocks_of, step_at_anchor_m
-from terrain.scene import Scene
+from skugga.api.contour_lines import write_contours
+from skugga.api.device_calibration import calibration_for
+from skugga.api.raster_file import RasterNotes, cog
+from skugga.api.shade import RasterView
+from skugga.api.sun_quantities import QUANTITIES, QUANTITY_NOTES
+from skugga.selector.select import plan_of_view
+from skugga.shadows.plan import Plan
+from skugga.shadows.sun_hours.sun_hours import SunRules, ground_extent, sun_hours
+from skugga.shadows.sun_hours.suns import window_suns
+from skugga.terrain.errors import InputError
+from skugga.terrain.gbuffer.covered_nodes import WIDE_M, is_bare
+from skugga.terrain.geo.daily_windows import DailyWindow, clock_text
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of, step_at_anchor_m
+from skugga.terrain.scene import Scene
 
 BLOCK_NODES = 2 * BLOCK_PX
 """Side of a block of bare ground: twice a picture's, since each of its suns looks for casters beside it anew."""

@@ -9,18 +9,18 @@ from urllib.parse import urlencode
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from api.color_scale import ColorScale
-from api.sun_quantities import QUANTITIES
-from shadows.sun_hours.suns import window_suns
-from terrain.errors import UnsupportedError
-from terrain.geo.clock import clock_named
-from terrain.geo.daily_windows import DailyWindow, clock_text, readings_of, windows_asked
-from terrain.geo.world import World
+from skugga.api.color_scale import ColorScale
+from skugga.api.sun_quantities import QUANTITIES
+from skugga.shadows.sun_hours.suns import window_suns
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.geo.clock import clock_named
+from skugga.terrain.geo.daily_windows import DailyWindow, clock_text, readings_of, windows_asked
+from skugga.terrain.geo.world import World
 
 if TYPE_CHECKING:
-    from shadows.plan import Plan
-    from terrain.geo.grid import MapView
-    from terrain.scene import Scene
+    from skugga.shadows.plan import Plan
+    from skugga.terrain.geo.grid import MapView
+    from skugga.terrain.scene import Scene
 
 SUN_HOURS_LAYER = "sunhours"
 
@@ -79,8 +79,8 @@ def sun_hours_picture(scene: Scene, view: MapView, query: SunHoursQuery) -> np.n
     """A block of the layer as RGBA (rows, cols, 4). Raises ``InputError``, and ``UnsupportedError`` where anything stands on the
     ground: each sun would be a picture.
     """
-    from shadows.sun_hours.sun_hours import SunRules, sun_hours
-    from terrain.gbuffer.covered_nodes import is_bare
+    from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
+    from skugga.terrain.gbuffer.covered_nodes import is_bare
 
     if not is_bare(scene):
         raise UnsupportedError(

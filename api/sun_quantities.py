@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import numpy as np
 
-    from shadows.sun_hours.sun_hours import SunHours
+    from skugga.shadows.sun_hours.sun_hours import SunHours
 
 QUANTITIES: dict[str, Callable[[SunHours], np.ndarray]] = {
     "hours": lambda found: found.hours,

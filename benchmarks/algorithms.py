@@ -40,24 +40,24 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from api.catalogue import find_level
-from selector.measure.compare import drawn_on, measure_plan
-from selector.planner.planner import make_plan
-from shadows.attached import attached
-from shadows.passes import PassLog
-from shadows.plan import Plan
-from shadows.render import Frame, render_frame
-from shadows.visibility import fill_steps
-from shadows.volumes.tiles import marked_tiles
-from terrain.cache import clear_caches
-from terrain.casters.reach import Casters
-from terrain.describe import describe
-from terrain.gbuffer.antialias import MultisampledBuffer
-from terrain.geo.camera import PerspectiveView
-from terrain.gl.device import device
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.selector.measure.compare import drawn_on, measure_plan
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.attached import attached
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import Frame, render_frame
+from skugga.shadows.visibility import fill_steps
+from skugga.shadows.volumes.tiles import marked_tiles
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.antialias import MultisampledBuffer
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.gl.device import device
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 
 SIZE = (800, 600)
 SUN_STEP_DEG = 0.07

@@ -30,22 +30,22 @@ import numpy as np
 from morecantile import tms as matrix_sets
 from pyproj import CRS
 
-from api.matrices import zoom_range
-from api.overviews import make_overviews, missing_overviews
-from api.shade import raster_view, write_shade
-from api.workers.jobs import BlockJob, LevelKey, PictureRequest, Tiles
-from api.workers.render_worker import run_job
-from api.workers.warm_up import warm_up
-from api.workers.worker_state import WorkerState, tiles_view
 from benchmarks.big_rasters import EPSG, MIDDLE_XY, make_rasters, mountain_xy, paths_in
-from selector.select import plan_of_view
-from shadows.render import render_frame
-from terrain.cache import clear_caches
-from terrain.geo.grid import BLOCK_PX, Grid, MapView, blocks_of, tile_grid
-from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.api.matrices import zoom_range
+from skugga.api.overviews import make_overviews, missing_overviews
+from skugga.api.shade import raster_view, write_shade
+from skugga.api.workers.jobs import BlockJob, LevelKey, PictureRequest, Tiles
+from skugga.api.workers.render_worker import run_job
+from skugga.api.workers.warm_up import warm_up
+from skugga.api.workers.worker_state import WorkerState, tiles_view
+from skugga.selector.select import plan_of_view
+from skugga.shadows.render import render_frame
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView, blocks_of, tile_grid
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, WGS84, transformer
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 
 MERCATOR_SET = "WebMercatorQuad"
 BLOCK_COUNTS = 1, 4, 16, 64

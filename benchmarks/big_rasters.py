@@ -22,7 +22,7 @@ from affine import Affine
 from pyproj import CRS
 from rasterio.enums import Resampling
 
-from api.raster_file import cog
+from skugga.api.raster_file import cog
 
 SHEET = 2048
 """Cells a side of a sheet: a power of two, so that cells of all its overviews meet those of its neighbours."""

@@ -16,20 +16,20 @@ from pathlib import Path
 
 from morecantile import tms as matrix_sets
 
-from api.catalogue import find_level
-from api.matrices import ZoomRange
-from api.seed.messages import Task
-from api.seed.planning import PlannedRun, SeedRequest, plan_run
-from api.seed.run_spec import MATRIX_SET
-from api.seed.running import task_of
-from api.seed.task_table import TaskTable
-from api.workers.block_tiles import BLOCK_TILES, encoded_part
-from api.workers.drawn_blocks import block_of_grid, drawn_block
-from terrain.cache import clear_caches
-from terrain.geo.grid import TILE_PX, tile_grid
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.api.matrices import ZoomRange
+from skugga.api.seed.messages import Task
+from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
+from skugga.api.seed.run_spec import MATRIX_SET
+from skugga.api.seed.running import task_of
+from skugga.api.seed.task_table import TaskTable
+from skugga.api.workers.block_tiles import BLOCK_TILES, encoded_part
+from skugga.api.workers.drawn_blocks import block_of_grid, drawn_block
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.geo.grid import TILE_PX, tile_grid
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.scene import Scene, build_scene
 
 TILES, CPU, ENCODING = "tiles", "CPU of the block", "encoding"
 

@@ -31,7 +31,7 @@ WOODED_LEVEL = ROOT / "configs" / "jacksboro_wooded.yaml"
 SIDE, CELL_M = 400, 30.0
 """The bare raster: 12 x 12 km of fractal mountains in UTM zone 11, with a hole."""
 
-OUR_PACKAGES = "api", "selector", "shadows", "terrain", "benchmarks"
+OUR_PACKAGES = "skugga", "benchmarks"
 YARDSTICK_ROUNDS = 3
 
 
@@ -147,13 +147,13 @@ def bare_raster(folder: Path) -> Path:
 def _tile(file: str, folder: Path) -> None:
     from morecantile import tms as matrix_sets
 
-    from api.workers.drawn_blocks import block_of_grid, drawn_block
-    from api.workers.warm_up import warm_up
-    from selector.select import plan_of_view
-    from terrain.geo.grid import BLOCK_PX, tile_grid
-    from terrain.level.level import load_level
-    from terrain.level.level_source import LevelSource
-    from terrain.scene import build_scene
+    from skugga.api.workers.drawn_blocks import block_of_grid, drawn_block
+    from skugga.api.workers.warm_up import warm_up
+    from skugga.selector.select import plan_of_view
+    from skugga.terrain.geo.grid import BLOCK_PX, tile_grid
+    from skugga.terrain.level.level import load_level
+    from skugga.terrain.level.level_source import LevelSource
+    from skugga.terrain.scene import build_scene
 
     warm_up()
     scene, zoom = build_scene(load_level(LevelSource(path=Path(file).resolve()))), 12
@@ -167,7 +167,7 @@ def _tile(file: str, folder: Path) -> None:
 
 def _command(*arguments: str) -> Callable[[str, Path], None]:
     def run(file: str, folder: Path) -> None:
-        from api.cli.main import app
+        from skugga.api.cli.main import app
 
         app([part.format(file=file, folder=folder) for part in arguments], standalone_mode=False)
 

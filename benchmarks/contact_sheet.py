@@ -22,17 +22,17 @@ from typing import Any
 
 from PIL import Image, ImageDraw, ImageFont
 
-from api.catalogue import find_level
-from selector.measure.compare import false_colours, measure_plan
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.errors import UnsupportedError
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.geo.grid import MapView
-from terrain.gl.device import device
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.selector.measure.compare import false_colours, measure_plan
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.gl.device import device
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 
 SHEET = Path(__file__).parents[1] / "docs" / "images" / "algorithms.webp"
 ASPECT = 5 / 4

@@ -49,25 +49,25 @@ import rasterio
 from affine import Affine
 from morecantile import tms as matrix_sets
 
-from api.catalogue import bundled_levels, find_level
-from selector.planner.planner import make_plan
-from shadows.attached import attached
-from shadows.executed_effects import executed_effects
-from shadows.ground_pictures import shown_map
-from shadows.render import SHADING_PASS, bands_of, render_frame
-from terrain.cache import clear_caches
-from terrain.casters.slopes import extent_on_grid
-from terrain.describe import describe
-from terrain.effects import EFFECTS
-from terrain.gbuffer.antialias import picture_buffer
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView, blocks_of, tile_grid
-from terrain.gl.device import device
-from terrain.level.level import EffectName, load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
-from terrain.shading import shade, srgb_encoded
-from terrain.sky import sky
+from skugga.api.catalogue import bundled_levels, find_level
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.attached import attached
+from skugga.shadows.executed_effects import executed_effects
+from skugga.shadows.ground_pictures import shown_map
+from skugga.shadows.render import SHADING_PASS, bands_of, render_frame
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.casters.slopes import extent_on_grid
+from skugga.terrain.describe import describe
+from skugga.terrain.effects import EFFECTS
+from skugga.terrain.gbuffer.antialias import picture_buffer
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of, tile_grid
+from skugga.terrain.gl.device import device
+from skugga.terrain.level.level import EffectName, load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
+from skugga.terrain.shading import shade, srgb_encoded
+from skugga.terrain.sky import sky
 
 SIDE_PX, CELL_M, WAVE_M, RELIEF_M = 1024, 10.0, 2500.0, 0.3
 """The plain: cells a side and a map's pixels, their size, and the length and height of the waves of its ground."""
@@ -296,8 +296,8 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
         shown[name] = shown_map(scene, view, plan)
         ms[name] = time.process_time() - start
     with (
-        patch("shadows.block_casters.idle_patches", lambda *of: frozenset()),
-        patch("shadows.block_casters.own_ground_is_clear", lambda *of: False),
+        patch("skugga.shadows.block_casters.idle_patches", lambda *of: frozenset()),
+        patch("skugga.shadows.block_casters.own_ground_is_clear", lambda *of: False),
     ):
         clear_caches("light")
         start = time.process_time()

@@ -39,15 +39,15 @@ STARTED = time.perf_counter()
 import moderngl  # noqa: E402
 import numpy as np  # noqa: E402
 
-from api.catalogue import find_level  # noqa: E402
-from selector.select import plan_of_view  # noqa: E402
-from shadows.render import render_frame  # noqa: E402
-from terrain.cache import clear_caches  # noqa: E402
-from terrain.geo.camera import PerspectiveView  # noqa: E402
-from terrain.gl.programs import recorded  # noqa: E402
-from terrain.level.level import load_level  # noqa: E402
-from terrain.level.parts import SunSpec  # noqa: E402
-from terrain.scene import Scene, build_scene  # noqa: E402
+from skugga.api.catalogue import find_level  # noqa: E402
+from skugga.selector.select import plan_of_view  # noqa: E402
+from skugga.shadows.render import render_frame  # noqa: E402
+from skugga.terrain.cache import clear_caches  # noqa: E402
+from skugga.terrain.geo.camera import PerspectiveView  # noqa: E402
+from skugga.terrain.gl.programs import recorded  # noqa: E402
+from skugga.terrain.level.level import load_level  # noqa: E402
+from skugga.terrain.level.parts import SunSpec  # noqa: E402
+from skugga.terrain.scene import Scene, build_scene  # noqa: E402
 
 IMPORTED = time.perf_counter()
 
@@ -154,7 +154,7 @@ class Worker:
         for name in asked.get("plans", self.overrides):
             self.plans[name] = plan_of_view(scene, view, self.name, self.overrides[name])
         took: dict[str, Any] = {"ms": 1000.0 * (time.perf_counter() - wall), "cpu_ms": 1000.0 * (time.process_time() - cpu)}
-        from terrain.gl.device import renderer_and_version
+        from skugga.terrain.gl.device import renderer_and_version
 
         took["renderer"] = " ".join(renderer_and_version())
         return {**took, "plans": {name: {"algorithms": plan.headline, "passes": plan.passes} for name, plan in self.plans.items()}}

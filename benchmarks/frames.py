@@ -22,7 +22,7 @@ What moves from one frame to the next:
     the sun by 1.5 or 2.5 degrees and the camera by 1.1 or 1.9 m, to places where they never were: nothing that was made from
     either is there. What is kept is what follows from the level alone: its nodes, meshes, trees, leaves, programs.
 ``sun``, ``camera``
-    one of them. All that was made for the other one in the frame before may be kept, in the caches of ``terrain.cache`` that
+    one of them. All that was made for the other one in the frame before may be kept, in the caches of ``skugga.terrain.cache`` that
     last as long as ``light`` (what a moving sun makes anew) and as ``scene``, and on the device.
 ``resting``
     nothing: the same frame again.

@@ -17,22 +17,22 @@ from pathlib import Path
 
 import numpy as np
 
-from selector.measure.footprint import texel_footprint_px
-from selector.planner.planner import make_plan
-from shadows.attached import attached
-from shadows.passes import PassLog
-from shadows.truth.metrics import errors_of
-from shadows.truth.truth import truth_of
-from shadows.visibility import fill_steps
-from terrain.casters.reach import casters_of
-from terrain.describe import describe
-from terrain.errors import SkuggaError
-from terrain.gbuffer.geometry import map_geometry
-from terrain.gl.device import device
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.selector.measure.footprint import texel_footprint_px
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.attached import attached
+from skugga.shadows.passes import PassLog
+from skugga.shadows.truth.metrics import errors_of
+from skugga.shadows.truth.truth import truth_of
+from skugga.shadows.visibility import fill_steps
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import SkuggaError
+from skugga.terrain.gbuffer.geometry import map_geometry
+from skugga.terrain.gl.device import device
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 
 SUNS = [(202.0, 60.0), (113.0, 30.0), (67.0, 10.0), (293.0, 3.0)]
 

@@ -18,19 +18,19 @@ from typing import Any
 
 import numpy as np
 
-from api.catalogue import find_level
-from selector.measure.compare import measure_plan
-from selector.planner.planner import make_plan
-from shadows.passes import PassLog
-from shadows.plan import Plan
-from shadows.visibility import fill_steps
-from terrain.casters.reach import casters_of
-from terrain.describe import describe
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.camera import PerspectiveView
-from terrain.gl.device import device
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.selector.measure.compare import measure_plan
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.visibility import fill_steps
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.gl.device import device
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 
 LEVELS = [f"thesis_{name}{sun}" for name in ("rocks", "street", "boxgrid", "room", "water_tower") for sun in ("", "_sun")]
 

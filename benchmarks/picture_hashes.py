@@ -20,15 +20,15 @@ from pathlib import Path
 
 import numpy as np
 
-from api.catalogue import bundled_levels
-from api.layers import LAYERS, PASS_LAYERS, frame_layer
-from selector.planner.planner import make_plan
-from shadows.registry import ALGORITHMS
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.errors import SkuggaError
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import bundled_levels
+from skugga.api.layers import LAYERS, PASS_LAYERS, frame_layer
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.registry import ALGORITHMS
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import SkuggaError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 
 AUTO = "auto"
 

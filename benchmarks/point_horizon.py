@@ -19,18 +19,18 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from api.catalogue import find_level
-from shadows.point.clock import clock_of
-from shadows.point.horizon import horizon_round, surroundings
-from shadows.point.place import PointPlace, place_at
-from shadows.point.relief_pages import paged_relief
-from shadows.point.sun_day import sun_day
-from terrain.cache import clear_caches
-from terrain.casters.rays import RayScene
-from terrain.errors import InputError
-from terrain.geo.sun import direction_enu
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.shadows.point.clock import clock_of
+from skugga.shadows.point.horizon import horizon_round, surroundings
+from skugga.shadows.point.place import PointPlace, place_at
+from skugga.shadows.point.relief_pages import paged_relief
+from skugga.shadows.point.sun_day import sun_day
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.casters.rays import RayScene
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.sun import direction_enu
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 
 MOST_CELLS = 4_000_000
 """Largest raster that is compared with rays."""

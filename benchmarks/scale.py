@@ -26,16 +26,16 @@ from pathlib import Path
 
 import numpy as np
 
-from api.matrices import ZoomRange
-from api.seed.archive import ArchiveFacts, ShardIndex, write_archive
-from api.seed.messages import Drawn, Task
-from api.seed.planning import PlannedRun, SeedRequest, plan_run
-from api.seed.running import run_tasks
-from api.seed.storage import FolderStore
-from api.seed.task_table import TaskTable
 from benchmarks.seed import SUN, cluster, mosaic
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
+from skugga.api.matrices import ZoomRange
+from skugga.api.seed.archive import ArchiveFacts, ShardIndex, write_archive
+from skugga.api.seed.messages import Drawn, Task
+from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
+from skugga.api.seed.running import run_tasks
+from skugga.api.seed.storage import FolderStore
+from skugga.api.seed.task_table import TaskTable
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
 
 BLOCK_TILES_ALL = 16
 
@@ -171,7 +171,16 @@ def measure(data: Path) -> Measured:
         folder = Path(name)
         raster, output = folder / "mosaic.tif", folder / "out.pmtiles"
         mosaic(data / "mountain" / "bigtujunga_30m_utm11.tif", 6, raster)
-        command = [sys.executable, "-c", "from api.cli.main import main; main()", "seed", str(raster), "--zooms", "8-13", *SUN]
+        command = [
+            sys.executable,
+            "-c",
+            "from skugga.api.cli.main import main; main()",
+            "seed",
+            str(raster),
+            "--zooms",
+            "8-13",
+            *SUN,
+        ]
         subprocess.run([*command, "-o", str(output), "--workers", "1", "--json"], check=True, stdout=subprocess.DEVNULL)
         log = [json.loads(line) for line in (Path(f"{output}.seed") / "log.jsonl").read_text(encoding="utf-8").splitlines()]
         done = [each for each in log if "seconds" in each]

@@ -22,19 +22,19 @@ import numpy as np
 import rasterio
 from affine import Affine
 
-import terrain.gbuffer.tree_instances as stand_module
-from api.catalogue import bundled_levels, find_level
-from selector.measure.compare import measure_plan
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from shadows.truth.metrics import block_shares, coverage_error
-from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from terrain.casters.reach import casters_of
-from terrain.describe import describe
-from terrain.gbuffer.picture import geometry_of
-from terrain.gl.device import device
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+import skugga.terrain.gbuffer.tree_instances as stand_module
+from skugga.api.catalogue import bundled_levels, find_level
+from skugga.selector.measure.compare import measure_plan
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.shadows.truth.metrics import block_shares, coverage_error
+from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gl.device import device
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 
 SIDE_M = 10_000.0
 CELL_M = 10.0

@@ -34,7 +34,7 @@ from pmtiles.reader import MmapSource, Reader
 
 SUN = "--azimuth", "225", "--altitude", "20"
 
-SKUGGA = [sys.executable, "-c", "from api.cli.main import main; main()"]
+SKUGGA = [sys.executable, "-c", "from skugga.api.cli.main import main; main()"]
 
 
 @dataclass(frozen=True)

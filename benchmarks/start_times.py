@@ -77,7 +77,7 @@ def table(python: str, wheel_python: str | None, one_core: bool = True) -> Itera
 
 
 def _rows(python: str, wheel_python: str | None, one_core: bool) -> Iterator[Row]:
-    skugga = [python, "-c", "from api.cli.main import main; main()"]
+    skugga = [python, "-c", "from skugga.api.cli.main import main; main()"]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         dem = write_dem(folder / "dem.tif")

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from api.catalogue import find_level
-from selector.select import plan_of_view
-from shadows.render import render_frame
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
-from terrain.style import STYLES
+from skugga.api.catalogue import find_level
+from skugga.selector.select import plan_of_view
+from skugga.shadows.render import render_frame
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
+from skugga.terrain.style import STYLES
 
 LIGHTS = {"noon": SunSpec(azimuth=195.0, altitude=48.0), "evening": SunSpec(azimuth=255.0, altitude=13.0)}
 

@@ -24,17 +24,17 @@ import rasterio
 from affine import Affine
 from scipy.ndimage import binary_erosion
 
-from api.shade import raster_view
 from benchmarks.sweep_speed import CELL_M, mountains
-from shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
-from shadows.sun_hours.suns import WindowSun, window_suns
-from terrain.casters.rays import RayScene
-from terrain.gbuffer.bare_nodes import bare_nodes
-from terrain.geo.daily_windows import daily_window
-from terrain.geo.grid import MapView
-from terrain.ground.sheet import Sheet
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.shade import raster_view
+from skugga.shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
+from skugga.shadows.sun_hours.suns import WindowSun, window_suns
+from skugga.terrain.casters.rays import RayScene
+from skugga.terrain.gbuffer.bare_nodes import bare_nodes
+from skugga.terrain.geo.daily_windows import daily_window
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.sheet import Sheet
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 
 KINDS = {
     "mountain": ("bigtujunga_30m_utm11.tif", "sierra_30m_albers.tif", "zion_srtm_4326.tif"),

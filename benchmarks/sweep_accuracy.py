@@ -23,19 +23,20 @@ from pathlib import Path
 
 import numpy as np
 
-from shadows.sweep.grid import sunlit
-from shadows.truth.metrics import INTERIOR_PX, interior
-from terrain.casters.rays import RayScene
-from terrain.errors import SkuggaError
-from terrain.geo.world import WGS84
-from terrain.ground.elevation import Elevation
-from terrain.ground.sheet import Sheet, sheet_of
+from skugga.shadows.sweep.grid import sunlit
+from skugga.shadows.truth.metrics import INTERIOR_PX, interior
+from skugga.terrain.casters.rays import RayScene
+from skugga.terrain.errors import SkuggaError
+from skugga.terrain.geo.world import WGS84
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.sheet import Sheet, sheet_of
 
 NO_HEIGHTS = ("landcover", "rgb")
 """Parts of the names of rasters that hold something else."""
 
 NODE_OFFSET = 1.0 / 8.0
-"""What a node is lifted by, in offsets of ``terrain.casters.rays``: it is a vertex, rounded to float32 just as the triangles are.
+"""What a node is lifted by, in offsets of ``skugga.terrain.casters.rays``: it is a vertex, rounded to float32 just as the triangles
+are.
 """
 
 TIE_DEG = 0.01

@@ -26,7 +26,7 @@ import numba
 import numpy as np
 
 from benchmarks.sweep_accuracy import GridRays, Raster, figures_of
-from shadows.sweep.grid import sunlit
+from skugga.shadows.sweep.grid import sunlit
 
 CELL_M = 10.0
 RELIEF_M = 2000.0

@@ -19,15 +19,15 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from terrain.casters.reach import casters_of
-from terrain.describe import describe
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.grid import MapView, blocks_of
-from terrain.level.level import SUN, load_level
-from terrain.scene import Scene, build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.grid import MapView, blocks_of
+from skugga.terrain.level.level import SUN, load_level
+from skugga.terrain.scene import Scene, build_scene
 
 SIDES = [
     (east_west, north_south, turned) for turned in (False, True) for north_south in (False, True) for east_west in (False, True)

@@ -153,7 +153,7 @@ def skugga(cog: Path, folder: Path, port: int = 8781) -> AbstractContextManager[
         z, x, y = tile
         return f"/levels/cog/tiles/WebMercatorQuad/{z}/{x}/{y}.png?azimuth={sun[0]:g}&altitude={sun[1]:g}"
 
-    command = [sys.executable, "-c", "from api.cli.main import main; main()", "serve", str(level), "--port", str(port)]
+    command = [sys.executable, "-c", "from skugga.api.cli.main import main; main()", "serve", str(level), "--port", str(port)]
     return service(
         command, port, "/readyz", path, PYTHONPATH=str(ROOT), SKUGGA_CALIBRATE_WHEN_IDLE="false", SKUGGA_PROBE_WHEN_IDLE="false"
     )
@@ -258,19 +258,19 @@ BLOCK_PROGRAM = """
 import json, sys, time
 from pathlib import Path
 from morecantile import tms
-from selector.select import plan_of_view
-from shadows.render import render_frame
-from terrain.casters.slopes import extent_on_grid
-from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.selector.select import plan_of_view
+from skugga.shadows.render import render_frame
+from skugga.terrain.casters.slopes import extent_on_grid
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, tile_grid
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 try:
-    from shadows.ground_pictures import shown_map as draw
+    from skugga.shadows.ground_pictures import shown_map as draw
 except ImportError:
     draw = render_frame
 try:
-    from api.workers.block_tiles import PicturedBlock, encoded_tiles
+    from skugga.api.workers.block_tiles import PicturedBlock, encoded_tiles
 except ImportError:
     encoded_tiles = None
 level, zoom, suns = sys.argv[1], int(sys.argv[2]), json.loads(sys.argv[3])

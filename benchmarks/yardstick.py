@@ -16,17 +16,17 @@ from typing import NamedTuple
 import moderngl
 import numpy as np
 
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
-from terrain.gbuffer.picture import solids_in
-from terrain.gbuffer.resolve import RELIEF
-from terrain.gbuffer.tree_instances import tree_instances_in_perspective
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.world import LocalFrame
-from terrain.gl.device import device
-from terrain.scene import Scene
-from terrain.shading import albedo_of, light_here
-from terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
+from skugga.terrain.gbuffer.picture import solids_in
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.gbuffer.tree_instances import tree_instances_in_perspective
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.gl.device import device
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import albedo_of, light_here
+from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
 MAP_BITS = 16
 NEAR_M, FAR_M = 0.5, 20_000.0

@@ -25,18 +25,18 @@ import numpy as np
 import rasterio
 from morecantile import tms as matrix_sets
 
-from selector.planner.planner import make_plan
-from shadows.passes import PassLog
-from shadows.render import _render_block, render_frame
-from terrain.cache import clear_caches
-from terrain.casters import reach
-from terrain.casters.slopes import extent_on_grid
-from terrain.describe import describe
-from terrain.gbuffer.covered_nodes import PixelsShow, halvings
-from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.passes import PassLog
+from skugga.shadows.render import _render_block, render_frame
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.casters import reach
+from skugga.terrain.casters.slopes import extent_on_grid
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.covered_nodes import PixelsShow, halvings
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, tile_grid
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 
 MERCATOR = matrix_sets.get("WebMercatorQuad")
 

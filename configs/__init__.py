@@ -2,4 +2,4 @@
 
 from pathlib import Path
 
-LEVELS_FOLDER = Path(__file__).parent
+LEVELS_FOLDER = Path(__file__).resolve().parent

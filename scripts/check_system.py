@@ -14,7 +14,7 @@ def main() -> int:
     try:
         for name in COMPILED:
             importlib.import_module(name)
-        from terrain.gl.egl_devices import open_context
+        from skugga.terrain.gl.egl_devices import open_context
 
         context, _ = open_context()
     except Exception as error:  # whatever is wrong, the caller needs it as one line

@@ -14,14 +14,14 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
-from api.catalogue import bundled_levels
-from api.layers import picture_layer
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.errors import SkuggaError
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import bundled_levels
+from skugga.api.layers import picture_layer
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import SkuggaError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 
 SHEET = Path(__file__).parents[1] / "docs" / "images" / "scenes.webp"
 ASPECT = 5 / 4

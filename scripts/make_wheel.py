@@ -12,17 +12,17 @@ import subprocess
 import sys
 from pathlib import Path
 
-from terrain.compiling.bundle import FOLDER, TARGET, VERSIONS, installed_versions
+from skugga.terrain.compiling.bundle import FOLDER, TARGET, VERSIONS, installed_versions
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 COMPILE = """
 import shutil, subprocess, sys
-from terrain.compiling.ahead import PRODUCTS, compile_ahead
-from terrain.compiling.farm import named_tasks
-from terrain.compiling.loop_cache import loop_store
-from terrain.compiling.store import SUFFIX
+from skugga.terrain.compiling.ahead import PRODUCTS, compile_ahead
+from skugga.terrain.compiling.farm import named_tasks
+from skugga.terrain.compiling.loop_cache import loop_store
+from skugga.terrain.compiling.store import SUFFIX
 compile_ahead(PRODUCTS, int(sys.argv[1]))
 for _, name in named_tasks(PRODUCTS):
     shutil.copy(loop_store().folder / (name + SUFFIX), sys.argv[2])

@@ -21,7 +21,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, MASKS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS
+from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, MASKS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS
 
 TIME = "2024-10-21T16:30:00+00:00"
 """A time for rasters near Greenwich, with the sun low in the west."""
@@ -58,14 +58,14 @@ def write_rasters(folder: Path) -> list[Path]:
 
 def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[float, float]] = ()) -> None:
     """Draw tiles of levels: colours at coarse zooms, at the data's own and magnified, under some suns; other layers at one zoom."""
-    from api.http.first_blocks import first_block
-    from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevels
-    from api.matrices import OVERZOOMS
-    from api.workers.jobs import PictureRequest
-    from api.workers.render_worker import run_job
-    from api.workers.warm_up import warm_up
-    from api.workers.worker_state import WorkerState
-    from terrain.level.parts import SunSpec
+    from skugga.api.http.first_blocks import first_block
+    from skugga.api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevels
+    from skugga.api.matrices import OVERZOOMS
+    from skugga.api.workers.jobs import PictureRequest
+    from skugga.api.workers.render_worker import run_job
+    from skugga.api.workers.warm_up import warm_up
+    from skugga.api.workers.worker_state import WorkerState
+    from skugga.terrain.level.parts import SunSpec
 
     state = WorkerState(warm_up())
     for level in ServedLevels(sources).known():
@@ -83,7 +83,7 @@ def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[f
 
 
 def _command(*words: object) -> None:
-    from api.cli.main import main
+    from skugga.api.cli.main import main
 
     sys.argv = ["skugga", *map(str, words)]
     try:
@@ -102,7 +102,7 @@ def maps(rasters: Sequence[Path], folder: Path) -> None:
 
 
 def maps_of_casters(rasters: Sequence[Path], folder: Path) -> None:
-    from api.catalogue import find_level
+    from skugga.api.catalogue import find_level
 
     _draw([find_level("jacksboro_wooded"), find_level("jacksboro_alpine")], ["shadow"])
 
@@ -116,9 +116,9 @@ def pictures(rasters: Sequence[Path], folder: Path) -> None:
 
 
 def views(rasters: Sequence[Path], folder: Path) -> None:
-    from api.catalogue import bundled_levels
-    from api.cli.snapshot import snapshot
-    from terrain.level.level import load_level
+    from skugga.api.catalogue import bundled_levels
+    from skugga.api.cli.snapshot import snapshot
+    from skugga.terrain.level.level import load_level
 
     for path in bundled_levels():
         for name, view in load_level(path).level.views.items():
@@ -132,12 +132,12 @@ def masks(rasters: Sequence[Path], folder: Path) -> None:
 
 
 def sun_hours(rasters: Sequence[Path], folder: Path) -> None:
-    from api.http.first_blocks import first_blocks
-    from api.http.served_levels import ServedLevels
-    from api.sun_hours_layer import SunHoursQuery
-    from api.workers.jobs import SunHoursJob
-    from api.workers.render_worker import run_job
-    from api.workers.worker_state import WorkerState
+    from skugga.api.http.first_blocks import first_blocks
+    from skugga.api.http.served_levels import ServedLevels
+    from skugga.api.sun_hours_layer import SunHoursQuery
+    from skugga.api.workers.jobs import SunHoursJob
+    from skugga.api.workers.render_worker import run_job
+    from skugga.api.workers.worker_state import WorkerState
 
     for raster in rasters[:2]:
         for quantity in ("hours", "first", "longest"):
@@ -149,11 +149,11 @@ def sun_hours(rasters: Sequence[Path], folder: Path) -> None:
 
 
 def points(rasters: Sequence[Path], folder: Path) -> None:
-    from api.catalogue import find_level
-    from api.point.report import point_report
-    from api.point.values import PointQuery
-    from terrain.level.level import load_level
-    from terrain.scene import build_scene
+    from skugga.api.catalogue import find_level
+    from skugga.api.point.report import point_report
+    from skugga.api.point.values import PointQuery
+    from skugga.terrain.level.level import load_level
+    from skugga.terrain.scene import build_scene
 
     for source in [*rasters, find_level("jacksboro_wooded")]:
         with_trees = source.stem == "jacksboro_wooded"
@@ -174,9 +174,9 @@ MAKERS: dict[str, Callable[[Sequence[Path], Path], None]] = {
 
 def record(product: str) -> list[tuple[str, Any]]:
     """Make a product in this process, whose store is empty; return the loops that were compiled, with their encoded types."""
-    from terrain.compiling.hooks import compile_when_called
-    from terrain.compiling.loop_cache import recorders
-    from terrain.compiling.signatures import decode_type, encode_type
+    from skugga.terrain.compiling.hooks import compile_when_called
+    from skugga.terrain.compiling.loop_cache import recorders
+    from skugga.terrain.compiling.signatures import decode_type, encode_type
 
     found: list[tuple[str, Any]] = []
 
@@ -197,7 +197,7 @@ def record(product: str) -> list[tuple[str, Any]]:
 
 def main(products: Sequence[str]) -> None:
     """Record products, each in a process with an empty store, two at a time, and write the list."""
-    from terrain.compiling.signatures import PATH, recorded_signatures
+    from skugga.terrain.compiling.signatures import PATH, recorded_signatures
 
     def recorded(product: str) -> list[tuple[str, Any]]:
         with tempfile.TemporaryDirectory() as store:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from shadows.plan import Plan
-from terrain.facts.descriptor import Descriptor
+from skugga.shadows.plan import Plan
+from skugga.terrain.facts.descriptor import Descriptor
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 MODELS: dict[str, type[BaseModel]] = {"plan.schema.json": Plan, "descriptor.schema.json": Descriptor}

@@ -7,18 +7,18 @@ from contextlib import suppress
 from itertools import islice
 from typing import Any
 
-from selector.mixes import MIXES
-from selector.planner.planner import make_plan
-from shadows.plan import Plan
-from shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS
-from terrain.describe import describe
-from terrain.errors import UnsupportedError
-from terrain.facts.descriptor import Descriptor
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import SUN, Level
-from terrain.scene import Scene
+from skugga.selector.mixes import MIXES
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import SUN, Level
+from skugga.terrain.scene import Scene
 
 MAX_CANDIDATES = 40
 """Candidates of a view, at most."""

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import CasterKind, EffectName, Shadows
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import CasterKind, EffectName, Shadows
 
 PolicyName = Literal["rules", "predict", "probe", "measure"]
 """``rules``: what is known beforehand; ``predict``: cost and error models; ``probe``: the same, corrected by some candidates that

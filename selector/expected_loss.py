@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log
 
-from selector.belief import logistic_chance_over
-from selector.ranking import CandidateFigures, RankingResult, best, relative_overshoot
-from shadows.registry import NO_SHADOWS
+from skugga.selector.belief import logistic_chance_over
+from skugga.selector.ranking import CandidateFigures, RankingResult, best, relative_overshoot
+from skugga.shadows.registry import NO_SHADOWS
 
 MISS_PENALTY = 10.0
 """What a missed target costs, in times what a candidate that is likely to meet it does."""
@@ -49,7 +49,7 @@ def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms:
        median.
     2. Else, where some are likely to keep to the time that is asked for: the one with the least expected overshoot, lateness taken
        in the same way.
-    3. Else the nearest, as ``selector.ranking.best`` has it.
+    3. Else the nearest, as ``skugga.selector.ranking.best`` has it.
 
     ``none`` is only taken where there is nothing else. Raises ``ValueError`` where there is nothing at all.
     """

@@ -3,7 +3,7 @@
 A film has one time, that of the scene: the sun, the clock of what moves, and the camera go by it. Frame ``n`` is ``n`` steps after
 the first one. Plans are a ``Replanner``'s: a choice of algorithms stays while it serves, and a switch is spread over some frames.
 Any other frame is the picture that ``render_frame`` makes of its moment with its plan; that of bare ground is drawn faster
-(``shadows.ground_pictures``).
+(``skugga.shadows.ground_pictures``).
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from functools import partial
 
 import numpy as np
 
-from selector.film_request import MOST_FRAMES, FilmRequest
-from selector.formatting import format_list
-from selector.replanning import PlanTransition, Replanner, casting, choices_of, mixed_pictures
-from shadows.ground_pictures import needs_no_gl, shown_color
-from shadows.plan import Plan
-from shadows.render import render_frame
-from terrain.camera_path import camera_path
-from terrain.describe import describe
-from terrain.errors import InputError
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.level.parts import SunSpec
-from terrain.scene import MAX_PERSPECTIVE_PX, Scene
+from skugga.selector.film_request import MOST_FRAMES, FilmRequest
+from skugga.selector.formatting import format_list
+from skugga.selector.replanning import PlanTransition, Replanner, casting, choices_of, mixed_pictures
+from skugga.shadows.ground_pictures import needs_no_gl, shown_color
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.camera_path import camera_path
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import MAX_PERSPECTIVE_PX, Scene
 
 log = logging.getLogger("skugga")
 

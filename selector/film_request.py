@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
-from terrain.level.camera_file import CameraPathSpec
+from skugga.terrain.level.camera_file import CameraPathSpec
 
 MOST_FRAMES = 10_000
 """Of a film: almost seven minutes at 25 a second."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from selector.cost.device_profile import profile_path
-from selector.map_probes import MapProbes
-from terrain.user_cache import user_cache
-from terrain.whole_files import write_whole
+from skugga.selector.cost.device_profile import profile_path
+from skugga.selector.map_probes import MapProbes
+from skugga.terrain.user_cache import user_cache
+from skugga.terrain.whole_files import write_whole
 
 MOST_KEPT = 200
 """Files of a device: of more the oldest are deleted. Levels change, and nobody asks for their older versions."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from pydantic import BaseModel, ConfigDict
 
-from selector.seen import Seen
+from skugga.selector.seen import Seen
 
 PROBED_FOR = {"max_error", "max_ms", "algorithm"}
 """What may be asked of the shadows of maps that a probe stands for: other settings change what algorithms draw."""

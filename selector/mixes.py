@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import CasterKind
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import CasterKind
 
 
 @dataclass(frozen=True)
 class Mix:
-    """Algorithms by kind of casters; kinds that are not named go by ``shadows.registry.FALLBACK``.
+    """Algorithms by kind of casters; kinds that are not named go by ``skugga.shadows.registry.FALLBACK``.
 
     ``in_portfolio`` says whether policies choose it, ``in_report`` whether the accuracy report compares it.
     """

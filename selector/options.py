@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import exp, log
 
-from selector.belief import Belief
-from selector.choices import Choice
-from selector.cost.cost_model import predicted_ms
-from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import (
+from skugga.selector.belief import Belief
+from skugga.selector.choices import Choice
+from skugga.selector.cost.cost_model import predicted_ms
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.cost.error_model import (
     LEAST,
     LEAST_INTERIOR,
     ErrorModel,
@@ -21,16 +21,16 @@ from selector.cost.error_model import (
     packaged_model,
     wrong_of_step,
 )
-from selector.cost.unmeasured import UnmeasuredError
-from selector.expected_loss import Forecast
-from selector.planner.planner import Planner
-from selector.portfolio import portfolio
-from selector.ranking import CandidateFigures
-from selector.seen import Seen
-from shadows.plan import Step
-from shadows.truth.metrics import MOST_INTERIOR
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import CasterKind
+from skugga.selector.cost.unmeasured import UnmeasuredError
+from skugga.selector.expected_loss import Forecast
+from skugga.selector.planner.planner import Planner
+from skugga.selector.portfolio import portfolio
+from skugga.selector.ranking import CandidateFigures
+from skugga.selector.seen import Seen
+from skugga.shadows.plan import Step
+from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import CasterKind
 
 LEAST_MS = 1e-6
 """Times are compared by their logarithms, from this one on."""

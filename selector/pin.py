@@ -22,16 +22,16 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from selector.choices import PlanRequest
-from selector.planner.planner import SETTING_NAMES, make_plan
-from shadows.plan import Plan
-from shadows.registry import NO_SHADOWS
-from terrain.errors import InputError, LevelError
-from terrain.facts.descriptor import Descriptor
-from terrain.level.level import SUN
-from terrain.level.pin_scope import PinScope
-from terrain.level.rasters import is_level_raster
-from terrain.whole_files import write_whole
+from skugga.selector.choices import PlanRequest
+from skugga.selector.planner.planner import SETTING_NAMES, make_plan
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import NO_SHADOWS
+from skugga.terrain.errors import InputError, LevelError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.level import SUN
+from skugga.terrain.level.pin_scope import PinScope
+from skugga.terrain.level.rasters import is_level_raster
+from skugga.terrain.whole_files import write_whole
 
 POLICY_CHOSEN = ("map_size",)
 """Settings that policies other than the rules choose for each view, so that they are pinned even where the rules agree."""

@@ -6,13 +6,13 @@ from collections.abc import Collection, Iterator, Mapping
 from itertools import islice, product
 from typing import Any, get_args
 
-from selector.choices import Choice
-from selector.mixes import MIXES
-from shadows.algorithm import Algorithm
-from shadows.registry import ALGORITHMS, FALLBACK, can_serve, selectable_algorithms
-from terrain.facts.descriptor import Descriptor
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import CasterKind, Shadows
+from skugga.selector.choices import Choice
+from skugga.selector.mixes import MIXES
+from skugga.shadows.algorithm import Algorithm
+from skugga.shadows.registry import ALGORITHMS, FALLBACK, can_serve, selectable_algorithms
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import CasterKind, Shadows
 
 MAX_CHOICES = 40
 """Picks of a light, at most; the last of ``combinations`` is cut off first."""

@@ -9,21 +9,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from selector.choices import Choice, PlanRequest, PolicyName
-from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import ErrorModel
-from selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
-from selector.formatting import format_duration, format_percent
-from selector.options import LightOptions, predicted_choices
-from selector.planner.advice import choices_by_rules
-from selector.planner.planner import Planner, planner_of
-from selector.ranking import RankingResult
-from selector.seen import Seen
-from shadows.algorithm import Reasoned
-from shadows.plan import Plan, Predicted, Target
-from shadows.registry import ALGORITHMS
-from terrain.facts.descriptor import Descriptor
-from terrain.level.algorithm_names import AlgorithmName
+from skugga.selector.choices import Choice, PlanRequest, PolicyName
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.cost.error_model import ErrorModel
+from skugga.selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
+from skugga.selector.formatting import format_duration, format_percent
+from skugga.selector.options import LightOptions, predicted_choices
+from skugga.selector.planner.advice import choices_by_rules
+from skugga.selector.planner.planner import Planner, planner_of
+from skugga.selector.ranking import RankingResult
+from skugga.selector.seen import Seen
+from skugga.shadows.algorithm import Reasoned
+from skugga.shadows.plan import Plan, Predicted, Target
+from skugga.shadows.registry import ALGORITHMS
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.algorithm_names import AlgorithmName
 
 NOT_PREDICTED = "nothing can be predicted, so the rules decide"
 
@@ -65,9 +65,9 @@ def predicted_plan(
     errors: ErrorModel | None = None,
     seen: Mapping[str, Sequence[Seen]] | None = None,
 ) -> Plan:
-    """The plan of the choices with the least expected loss (``selector.expected_loss``): the cheapest that are likely to meet
-    ``max_error``, or the most accurate within ``max_ms``; where none is, the nearest, marked as missing the target. ``errors`` are
-    other constants than those fitted, ``seen`` by light what was seen of choices.
+    """The plan of the choices with the least expected loss (``skugga.selector.expected_loss``): the cheapest that are likely to
+    meet ``max_error``, or the most accurate within ``max_ms``; where none is, the nearest, marked as missing the target. ``errors``
+    are other constants than those fitted, ``seen`` by light what was seen of choices.
 
     Raises ``InputError`` and ``UnsupportedError`` as ``make_plan`` does.
     """

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from selector.formatting import format_duration, format_percent
-from shadows.registry import NO_SHADOWS
-from shadows.truth.metrics import MOST_INTERIOR
+from skugga.selector.formatting import format_duration, format_percent
+from skugga.shadows.registry import NO_SHADOWS
+from skugga.shadows.truth.metrics import MOST_INTERIOR
 
 TIME_TIE_RATIO = 1.05
 """Times that lie as close as this count as one: the more accurate of two such candidates is taken."""

@@ -25,21 +25,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from selector.choices import Choice, PlanRequest, PolicyName
-from selector.formatting import format_duration, format_list, format_percent
-from selector.planner.planner import make_plan
-from selector.portfolio import tuned_settings
-from selector.select import select
-from shadows.plan import Plan
-from shadows.registry import NO_SHADOWS
-from shadows.truth.metrics import MOST_INTERIOR
-from terrain.errors import UnsupportedError
-from terrain.facts.descriptor import Descriptor
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import CasterKind
+from skugga.selector.choices import Choice, PlanRequest, PolicyName
+from skugga.selector.formatting import format_duration, format_list, format_percent
+from skugga.selector.planner.planner import make_plan
+from skugga.selector.portfolio import tuned_settings
+from skugga.selector.select import select
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import NO_SHADOWS
+from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import CasterKind
 
 if TYPE_CHECKING:
-    from selector.cost.device_profile import DeviceProfile
+    from skugga.selector.cost.device_profile import DeviceProfile
 
 SWITCH_TIME_GAIN = 0.2
 """Share of the time that a new plan must save ..."""
@@ -60,7 +60,7 @@ SHORTEST, LONGEST = 2, 30
 """Frames that a switch is expected to take, at least and at most: the first has two pictures to go by."""
 
 PlanFunction = Callable[[Descriptor, PlanRequest, dict[str, Any] | None], Plan]
-"""A policy: ``selector.select.select``, or what behaves like it."""
+"""A policy: ``skugga.selector.select.select``, or what behaves like it."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,8 @@ class PlanState:
 class Replanner:
     """Plans for one frame after the other of a view that moves.
 
-    ``policy`` and ``device`` are those of ``selector.select.select``; ``plans`` stands in for it. With the ``state`` of another one
-    it goes on from there: a state is a value, which other processes take.
+    ``policy`` and ``device`` are those of ``skugga.selector.select.select``; ``plans`` stands in for it. With the ``state`` of
+    another one it goes on from there: a state is a value, which other processes take.
 
     >>> replanner = Replanner(device=load_profile(renderer, version))           # doctest: +SKIP
     >>> for view in path:                                                       # doctest: +SKIP
@@ -122,7 +122,7 @@ class Replanner:
         return self._standing
 
     def plan(self, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Plan:
-        """The next frame's plan. Raises as ``selector.select.select`` does."""
+        """The next frame's plan. Raises as ``skugga.selector.select.select`` does."""
         self._standing = next_state(self._standing, descriptor, plan_request, overrides, self._plans)
         return self._standing.plan
 

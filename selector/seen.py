@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 class Seen(BaseModel):
     """What was seen of a choice, by its name: its error (as targets count it), what is wrong inside, and milliseconds; with the
-    standard deviations of their logarithms (``selector.cost.error_model.log_error``, ``log_interior``).
+    standard deviations of their logarithms (``skugga.selector.cost.error_model.log_error``, ``log_interior``).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

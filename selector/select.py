@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from selector.choices import PlanRequest, PolicyName
-from selector.planner.planner import make_plan
-from shadows.algorithm import Reasoned
-from shadows.plan import Plan
-from terrain.describe import describe
-from terrain.errors import InputError
-from terrain.facts.descriptor import Descriptor
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.scene import Scene
+from skugga.selector.choices import PlanRequest, PolicyName
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.algorithm import Reasoned
+from skugga.shadows.plan import Plan
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import InputError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
-    from selector.cost.device_profile import DeviceProfile
-    from selector.seen import Seen
+    from skugga.selector.cost.device_profile import DeviceProfile
+    from skugga.selector.seen import Seen
 
 UNCALIBRATED = "this device is not calibrated, so fixed rules choose (to get predictions, run skugga calibrate)"
 
@@ -39,7 +39,7 @@ def select(
     if policy in ("probe", "measure"):
         raise InputError("policy", policy, f"rules, predict; {policy} needs the scene itself (skugga select)")
     if policy == "predict" and device is not None:
-        from selector.predict import predicted_plan
+        from skugga.selector.predict import predicted_plan
 
         return predicted_plan(descriptor, plan_request, overrides, device, seen=seen)
     plan = make_plan(descriptor, plan_request, overrides)
@@ -62,7 +62,7 @@ def plan_of_view(
     seen of choices before, by light, of which ``predict`` makes use. Raises as ``select`` does.
     """
     if policy in ("probe", "measure"):
-        from selector.measure.probe import DEFAULT_BUDGET_S, probed_plan
+        from skugga.selector.measure.probe import DEFAULT_BUDGET_S, probed_plan
 
         budget_s = None if policy == "measure" else budget_s or DEFAULT_BUDGET_S
         return probed_plan(scene, view, name, overrides, device=device, budget_s=budget_s).plan

@@ -1,5 +1,5 @@
-"""What a shadow algorithm is: one record, in which the algorithm's own module ends. ``shadows.registry`` lists the records, and the
-planner, the portfolio, the cost and error models, the calibration and the report read them.
+"""What a shadow algorithm is: one record, in which the algorithm's own module ends. ``skugga.shadows.registry`` lists the records,
+and the planner, the portfolio, the cost and error models, the calibration and the report read them.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from shadows.bent_rays import rays_bend
-from shadows.passes import PassLayer
-from shadows.penumbra import MAX_POINTS, MIN_POINTS, light_points
-from shadows.work import Work, Workload
-from terrain.cache import caches
-from terrain.facts.descriptor import Descriptor, LightKind
-from terrain.facts.fact_types import CastBand, Casting
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.level.level import SUN, CasterKind, Shadows
-from terrain.scene import Scene
+from skugga.shadows.bent_rays import rays_bend
+from skugga.shadows.passes import PassLayer
+from skugga.shadows.penumbra import MAX_POINTS, MIN_POINTS, light_points
+from skugga.shadows.work import Work, Workload
+from skugga.terrain.cache import caches
+from skugga.terrain.facts.descriptor import Descriptor, LightKind
+from skugga.terrain.facts.fact_types import CastBand, Casting
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.level.level import SUN, CasterKind, Shadows
+from skugga.terrain.scene import Scene
 
 ViewKind = Literal["map", "bent map", "perspective"]
 """``bent map``: one that no camera can see as it is, for the earth and its projection bend it."""
@@ -196,8 +196,8 @@ class Cost:
     Attributes
     ----------
     work
-        What a step does, by part, counted from the descriptor alone (``shadows.work``). ``None``: all pixels and triangles, in one
-        part of the algorithm's name.
+        What a step does, by part, counted from the descriptor alone (``skugga.shadows.work``). ``None``: all pixels and triangles,
+        in one part of the algorithm's name.
     passes
         Parts (without the kind of view or light) that have a pass of their own on record. What is left of a step's time is that of
         its last part.
@@ -230,7 +230,7 @@ class Accuracy:
     Attributes
     ----------
     texel_px
-        A texel's side in pixels in a band of distances, across the light (``selector.cost.error_model``): of a descriptor, a
+        A texel's side in pixels in a band of distances, across the light (``skugga.selector.cost.error_model``): of a descriptor, a
         light's name, settings, a band, and the fitted number of a perspective map's texels to a pixel. ``None``: no texels.
     texel_m
         A texel's larger side on level ground, metres, at the points of a buffer (rows, cols) or everywhere: of a scene, a light's
@@ -256,7 +256,7 @@ MarkColour = Literal["blue", "vermilion", "green", "purple", "orange", "sky", "g
 
 @dataclass(frozen=True)
 class Mark:
-    """How an algorithm looks in plots: a shape and a colour of ``api.report.page.marks``."""
+    """How an algorithm looks in plots: a shape and a colour of ``skugga.api.report.page.marks``."""
 
     shape: Literal["circle", "square", "triangle", "diamond", "wedge", "star", "cross"]
     colour: MarkColour
@@ -299,7 +299,7 @@ class Algorithm:
     settings, resolve
         The types of its settings, and what resolves them. Raises ``UnsupportedError`` for what it cannot do at all.
     keeps
-        The caches (``terrain.cache``) that it fills, by name; each says how long its values last.
+        The caches (``skugga.terrain.cache``) that it fills, by name; each says how long its values last.
     """
 
     name: str

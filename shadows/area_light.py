@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from shadows.algorithm import AreaSettings, Fill
-from shadows.attached import attached
-from shadows.passes import PassLog
-from shadows.work import Work
-from terrain.casters.reach import Casters
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.geo.sun import SUN_RADIUS_DEG
-from terrain.level.level import SUN, CasterKind
-from terrain.scene import Scene
+from skugga.shadows.algorithm import AreaSettings, Fill
+from skugga.shadows.attached import attached
+from skugga.shadows.passes import PassLog
+from skugga.shadows.work import Work
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG
+from skugga.terrain.level.level import SUN, CasterKind
+from skugga.terrain.scene import Scene
 
 GOLDEN_ANGLE = float(np.pi * (3.0 - 5.0**0.5))
 """Radians between one point of a spiral and the next."""

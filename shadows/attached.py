@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled, in_shares
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import FOREST
-from terrain.gbuffer.shared_points import GRAZING, facing_normals
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.resolve import FOREST
+from skugga.terrain.gbuffer.shared_points import GRAZING, facing_normals
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 
 def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarray:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.casters.reach import longest_shadow_m
-from terrain.facts.descriptor import Descriptor
-from terrain.geo.grid import BLOCK_PX
-from terrain.level.level import SUN
+from skugga.terrain.casters.reach import longest_shadow_m
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.geo.grid import BLOCK_PX
+from skugga.terrain.level.level import SUN
 
 MAX_STRAIGHT_M = 200e3
 """Across a wider piece of the round earth the sun's rays bend too much for lines that run side by side. In Web Mercator the lines

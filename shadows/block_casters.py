@@ -1,20 +1,20 @@
 """What a map's block needs of casters: ground beside it that may throw a shadow on it, and whether anything at all does.
 
-A plan is one for a level, a zoom and a sun. What it lists and a block provably does not need (``terrain.casters.horizon_bound``) is
-left out for that block, and put on record there; the picture is the same to the bit.
+A plan is one for a level, a zoom and a sun. What it lists and a block provably does not need
+(``skugga.terrain.casters.horizon_bound``) is left out for that block, and put on record there; the picture is the same to the bit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from shadows.passes import CASTERS_PASS, GEOMETRY_PASS, PassLog
-from shadows.plan import Plan, Step
-from shadows.registry import ALGORITHMS
-from terrain.casters.horizon_bound import idle_patches, own_ground_is_clear
-from terrain.casters.reach import Casters, Receivers
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.shadows.passes import CASTERS_PASS, GEOMETRY_PASS, PassLog
+from skugga.shadows.plan import Plan, Step
+from skugga.shadows.registry import ALGORITHMS
+from skugga.terrain.casters.horizon_bound import idle_patches, own_ground_is_clear
+from skugga.terrain.casters.reach import Casters, Receivers
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 NOTHING_OUTSIDE = "nothing outside of the block throws a shadow into it"
 NOTHING_CASTS = "no ground throws a shadow in the block"

@@ -1,8 +1,8 @@
 """Maps whose pixels are larger than the data's cells: a pixel shows the mean visibility of the ground that it covers.
 
-So it does not depend on the zoom how much lies in shadow. Which ground that is, ``terrain.gbuffer.covered_nodes`` says. Its nodes
-are drawn like the pixels of any finer map, by the plan's own steps, and are averaged, attached shadow included; colours, heights
-and normals stay those of the pixel's own point. Bare ground under the sweep goes by its heights alone.
+So it does not depend on the zoom how much lies in shadow. Which ground that is, ``skugga.terrain.gbuffer.covered_nodes`` says. Its
+nodes are drawn like the pixels of any finer map, by the plan's own steps, and are averaged, attached shadow included; colours,
+heights and normals stay those of the pixel's own point. Bare ground under the sweep goes by its heights alone.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.block_casters import casters_beside, needed_steps
-from shadows.layer_collector import LayerCollector, PixelWindow
-from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, OF_PIXELS, PassLog
-from shadows.plan import Plan
-from shadows.registry import ALGORITHMS
-from shadows.visibility import visibilities_at
-from terrain.casters.reach import NO_CASTERS, Casters, casters_in_sun, casters_of
-from terrain.gbuffer.bare_ground import BareGround
-from terrain.gbuffer.bare_nodes import bare_nodes
-from terrain.gbuffer.covered_nodes import (
+from skugga.shadows.block_casters import casters_beside, needed_steps
+from skugga.shadows.layer_collector import LayerCollector, PixelWindow
+from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, OF_PIXELS, PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import ALGORITHMS
+from skugga.shadows.visibility import visibilities_at
+from skugga.terrain.casters.reach import NO_CASTERS, Casters, casters_in_sun, casters_of
+from skugga.terrain.gbuffer.bare_ground import BareGround
+from skugga.terrain.gbuffer.bare_nodes import bare_nodes
+from skugga.terrain.gbuffer.covered_nodes import (
     WIDE_M,
     covered_nodes,
     halvings,
@@ -30,13 +30,13 @@ from terrain.gbuffer.covered_nodes import (
     means_in_pixels,
     pieces_grid,
 )
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, Grid, MapView
-from terrain.ground.surface import map_pixel_m
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 MOST_BARE_AT_ONCE = 18 * BLOCK_PX**2
 """Most nodes of bare ground that are seen to at a time, ..."""

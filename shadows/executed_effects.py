@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from shadows.passes import PassRecord
-from terrain.effects import EFFECTS
-from terrain.level.level import SUN, EffectName
+from skugga.shadows.passes import PassRecord
+from skugga.terrain.effects import EFFECTS
+from skugga.terrain.level.level import SUN, EffectName
 
 FOLIAGE_PARTS = frozenset({"shadows/maps/depth_tree.frag", "shadows/planar_tree.frag"})
 """Shader parts that draw foliage as a caster."""

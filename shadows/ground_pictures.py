@@ -1,8 +1,9 @@
 """Maps of bare ground as they are shown, without a geometry buffer for each sun: what the map service and films draw most.
 
 Where heights alone say what is seen and how it is shaded, a block's colour and its shadow's opacity need no triangles: shadows are
-swept over nodes (``shadows.coarse_pixels``, as in any picture), and ground that is kept from sun to sun is shaded in one pass
-(``terrain.gbuffer.bare_ground``). The pictures are those of ``render_frame``. Masks, data layers and all else are drawn there.
+swept over nodes (``skugga.shadows.coarse_pixels``, as in any picture), and ground that is kept from sun to sun is shaded in one
+pass (``skugga.terrain.gbuffer.bare_ground``). The pictures are those of ``render_frame``. Masks, data layers and all else are drawn
+there.
 
 Pixels that are no nodes, as those of most pictures, take their ground from a geometry buffer once for all suns.
 """
@@ -13,25 +14,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.coarse_pixels import coarse_pixels, halved_pixels, heights_say_all, mean_visibilities
-from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLog, PassRecord
-from shadows.plan import Plan
-from shadows.render import REFRACTION_PASS, SHADING_PASS, render_frame
-from shadows.visibility import with_apparent_sun
-from terrain.cache import MIB, cached
-from terrain.casters.reach import NO_CASTERS, Reach, reach_over
-from terrain.effects.effect import ShadingBlock
-from terrain.effects.sky_view import apply_sky_view
-from terrain.gbuffer.bare_ground import BareGround, bare_ground
-from terrain.gbuffer.bare_nodes import bare_nodes
-from terrain.gbuffer.covered_nodes import is_bare
-from terrain.gbuffer.picture import geometry_of, imagery_of
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView, blocks_of
-from terrain.ground.sky_view_factor import SkyView, sky_view
-from terrain.level.level import SUN
-from terrain.scene import Scene
-from terrain.shading import open_sky, shaded_ground
+from skugga.shadows.coarse_pixels import coarse_pixels, halved_pixels, heights_say_all, mean_visibilities
+from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLog, PassRecord
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import REFRACTION_PASS, SHADING_PASS, render_frame
+from skugga.shadows.visibility import with_apparent_sun
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.reach import NO_CASTERS, Reach, reach_over
+from skugga.terrain.effects.effect import ShadingBlock
+from skugga.terrain.effects.sky_view import apply_sky_view
+from skugga.terrain.gbuffer.bare_ground import BareGround, bare_ground
+from skugga.terrain.gbuffer.bare_nodes import bare_nodes
+from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.gbuffer.picture import geometry_of, imagery_of
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView, blocks_of
+from skugga.terrain.ground.sky_view_factor import SkyView, sky_view
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import open_sky, shaded_ground
 
 SKY_PASS = "sky_view"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.passes import OF_PIXELS, PassLayer
-from terrain.errors import InputError
+from skugga.shadows.passes import OF_PIXELS, PassLayer
+from skugga.terrain.errors import InputError
 
 MAX_TEXELS = 64_000_000
 """Most texels of a layer that has a size of its own."""

@@ -1,9 +1,9 @@
 """Anti-aliased edges in maps: a pixel through which an edge runs shows a mean of what it covers.
 
 Masks, and all that accuracy is measured by, keep to the pixels' own points. Where heights alone say what is seen, all pixels show
-means over nodes half a pixel apart, as those of coarse maps do (``shadows.coarse_pixels``). Elsewhere only pixels through which
-edges run get more points: those of a finer view, cut from the same ground, which the plan's own steps fill, and which are shaded
-one by one. Where nothing ends after all a pixel keeps its own.
+means over nodes half a pixel apart, as those of coarse maps do (``skugga.shadows.coarse_pixels``). Elsewhere only pixels through
+which edges run get more points: those of a finer view, cut from the same ground, which the plan's own steps fill, and which are
+shaded one by one. Where nothing ends after all a pixel keeps its own.
 
 Edges run where a light's visibility, or what kind of thing is seen, changes from a pixel to one beside it. That is told within a
 block, whatever lies beside it: the pixels along its sides all get more points.
@@ -18,21 +18,21 @@ from typing import Any
 
 import numpy as np
 
-from shadows.block_casters import casters_beside
-from shadows.coarse_pixels import halved_pixels, looks_beside, mean_visibilities
-from shadows.passes import GEOMETRY_PASS, PassLog
-from shadows.plan import Plan
-from shadows.visibility import visibilities_at
-from terrain.casters.horizon_bound import own_ground_faces_sun
-from terrain.casters.reach import NO_CASTERS, Casters, casters_of
-from terrain.compiled import compiled
-from terrain.gbuffer.antialias import SIDE, MultisampledBuffer
-from terrain.gbuffer.covered_nodes import is_bare
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.grid import BLOCK_PX, MapView
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.shadows.block_casters import casters_beside
+from skugga.shadows.coarse_pixels import halved_pixels, looks_beside, mean_visibilities
+from skugga.shadows.passes import GEOMETRY_PASS, PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.visibility import visibilities_at
+from skugga.terrain.casters.horizon_bound import own_ground_faces_sun
+from skugga.terrain.casters.reach import NO_CASTERS, Casters, casters_of
+from skugga.terrain.compiled import compiled
+from skugga.terrain.gbuffer.antialias import SIDE, MultisampledBuffer
+from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.grid import BLOCK_PX, MapView
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 Arrays = dict[str, np.ndarray]
 

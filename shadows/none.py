@@ -1,7 +1,7 @@
-"""`none`: no cast shadows. What is turned away from a light is dark all the same (``shadows.attached``)."""
+"""`none`: no cast shadows. What is turned away from a light is dark all the same (``skugga.shadows.attached``)."""
 
 from __future__ import annotations
 
-from shadows.algorithm import Algorithm, Mark
+from skugga.shadows.algorithm import Algorithm, Mark
 
 ALGORITHM = Algorithm(name="none", about="no cast shadows", plural="none", needs_opengl=False, mark=Mark("cross", "gray"))

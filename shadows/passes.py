@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from terrain.gl.programs import recorded
+from skugga.terrain.gl.programs import recorded
 
 GEOMETRY_PASS = "geometry"
 CASTERS_PASS = "outside_casters"
@@ -33,7 +33,7 @@ class PassRecord:
     and buffers it held at a time, how many maps or volumes it found as they were made before, silhouette edges, marked pixels
     and tiles that hold one, of how many points of the light it is the mean, and what else there is to say of it; labels of the
     programs that it drew with, in the order of their first use, and the textures that these can read, by the alphabet
-    (``terrain.gl.programs``); labels of what it did by loops on the processor instead.
+    (``skugga.terrain.gl.programs``); labels of what it did by loops on the processor instead.
 
     ``parts`` are the blocks, or parts of them, that the plan had it for, ``left_out`` those of them that provably need none of its
     work, and went without it; the ``note`` says why.

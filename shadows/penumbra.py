@@ -6,9 +6,9 @@ receiver. The facts of a view say d and the median t, by kind of caster.
 
 from __future__ import annotations
 
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import LampFacts
-from terrain.level.level import SUN
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import LampFacts
+from skugga.terrain.level.level import SUN
 
 MAX_POINTS, MIN_POINTS = 32, 4
 """Points of a light that algorithms of hard edges are averaged over: a penumbra has as many steps."""

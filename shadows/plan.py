@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, SerializeAsAny, TypeAdapter, ValidationInfo, field_validator
 from pydantic_core import CoreSchema
 
-from shadows.algorithm import AlgorithmSettings, Reasoned
-from shadows.registry import ALGORITHMS, NO_SHADOWS
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import SUN, CasterKind
+from skugga.shadows.algorithm import AlgorithmSettings, Reasoned
+from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import SUN, CasterKind
 
 
 class _Value(BaseModel):

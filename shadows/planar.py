@@ -18,8 +18,8 @@ view: the shadow ends where the ground does, and a pixel that is covered twice i
 The ground alone receives: points on meshes and trees keep visibility 1 here, and only what is turned away from the light is
 dark there. Level ground itself shades nothing.
 
-**Samples** of a perspective view's pixels (``terrain.gbuffer.antialias``) are pixels of a finer view of the same camera, and are
-drawn as such.
+**Samples** of a perspective view's pixels (``skugga.terrain.gbuffer.antialias``) are pixels of a finer view of the same camera, and
+are drawn as such.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from shadows.algorithm import FEW_MAP_SIZES, Accuracy, Algorithm, Cost, Mark, ResolvedSettings, Search, SettingsRequest
-from shadows.maps.windows import POSITION_ERROR
-from shadows.passes import PassLog, PassRecord
-from shadows.work import Work, Workload
-from terrain.casters.casting import caster_meshes, caster_trees
-from terrain.casters.clip_space import camera_clip, map_clip
-from terrain.casters.reach import Casters
-from terrain.facts.fact_types import Casting
-from terrain.facts.probes import HALF_A_HIT
-from terrain.gbuffer.antialias import finer_view
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
-from terrain.gbuffer.resolve import RELIEF
-from terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame, World
-from terrain.gl.device import Device, device
-from terrain.level.level import SUN, CasterKind
-from terrain.scene import Scene
-from terrain.trees.foliage import THRESHOLD, foliage
+from skugga.shadows.algorithm import FEW_MAP_SIZES, Accuracy, Algorithm, Cost, Mark, ResolvedSettings, Search, SettingsRequest
+from skugga.shadows.maps.windows import POSITION_ERROR
+from skugga.shadows.passes import PassLog, PassRecord
+from skugga.shadows.work import Work, Workload
+from skugga.terrain.casters.casting import caster_meshes, caster_trees
+from skugga.terrain.casters.clip_space import camera_clip, map_clip
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.facts.fact_types import Casting
+from skugga.terrain.facts.probes import HALF_A_HIT
+from skugga.terrain.gbuffer.antialias import finer_view
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame, World
+from skugga.terrain.gl.device import Device, device
+from skugga.terrain.level.level import SUN, CasterKind
+from skugga.terrain.scene import Scene
+from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
 if TYPE_CHECKING:
     from moderngl import Framebuffer

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from shadows import none, planar
-from shadows.algorithm import Algorithm, Requirement, is_area, requirements_of
-from shadows.hybrid import hybrid
-from shadows.maps import perspective_shadow_map, shadow_map
-from shadows.sweep import sweep
-from shadows.truth import truth
-from shadows.volumes import shadow_volume
-from terrain.facts.descriptor import Descriptor
-from terrain.level.algorithm_names import ALGORITHM_NAMES, REFERENCE_NAMES, AlgorithmName
-from terrain.level.level import CasterKind, Shadows
+from skugga.shadows import none, planar
+from skugga.shadows.algorithm import Algorithm, Requirement, is_area, requirements_of
+from skugga.shadows.hybrid import hybrid
+from skugga.shadows.maps import perspective_shadow_map, shadow_map
+from skugga.shadows.sweep import sweep
+from skugga.shadows.truth import truth
+from skugga.shadows.volumes import shadow_volume
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES, REFERENCE_NAMES, AlgorithmName
+from skugga.terrain.level.level import CasterKind, Shadows
 
 MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sweep, truth, none)
 """Those that come with Skugga."""

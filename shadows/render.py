@@ -8,30 +8,30 @@ from functools import cached_property
 
 import numpy as np
 
-from shadows.block_casters import casters_beside
-from shadows.coarse_pixels import coarse_pixels, mean_visibilities
-from shadows.executed_effects import executed_effects
-from shadows.layer_collector import LayerCollector
-from shadows.map_edges import anti_aliased
-from shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLayer, PassLog, PassRecord
-from shadows.plan import Plan
-from shadows.registry import ALGORITHMS
-from shadows.visibility import visibilities_at, with_apparent_sun
-from terrain.casters.reach import Casters, Reach, casters_of, reach_of
-from terrain.effects import EFFECTS
-from terrain.effects.effect import BEFORE_SHADING, ShadingBlock, Stage
-from terrain.errors import InputError, RenderError, UnsupportedError
-from terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
-from terrain.gbuffer.covered_nodes import PixelsShow
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.subsampled import subsampled_points
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView, blocks_of
-from terrain.geo.world import LocalFrame
-from terrain.level.level import SUN, EffectName
-from terrain.scene import Scene
-from terrain.shading import albedo_of, open_sky, shade, srgb_encoded
-from terrain.sky import sky
+from skugga.shadows.block_casters import casters_beside
+from skugga.shadows.coarse_pixels import coarse_pixels, mean_visibilities
+from skugga.shadows.executed_effects import executed_effects
+from skugga.shadows.layer_collector import LayerCollector
+from skugga.shadows.map_edges import anti_aliased
+from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLayer, PassLog, PassRecord
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import ALGORITHMS
+from skugga.shadows.visibility import visibilities_at, with_apparent_sun
+from skugga.terrain.casters.reach import Casters, Reach, casters_of, reach_of
+from skugga.terrain.effects import EFFECTS
+from skugga.terrain.effects.effect import BEFORE_SHADING, ShadingBlock, Stage
+from skugga.terrain.errors import InputError, RenderError, UnsupportedError
+from skugga.terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
+from skugga.terrain.gbuffer.covered_nodes import PixelsShow
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.subsampled import subsampled_points
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView, blocks_of
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.level.level import SUN, EffectName
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import albedo_of, open_sky, shade, srgb_encoded
+from skugga.terrain.sky import sky
 
 RENDERER_VERSION = 3
 """Raised by hand with every change by which any picture becomes another one: pyramids of before are drawn anew then."""
@@ -56,7 +56,7 @@ class Frame:
     ``color`` uint8 sRGB; ``visibilities`` float32 in [0, 1] by light, NaN where there is no surface; ``shown_visibilities`` the
     same with a map's edges anti-aliased, as ``color`` has them; ``height_m`` float32 likewise; ``position_frame_m`` float64
     (rows, cols, 3) of a perspective view in ``frame``, ``None`` in a map; ``passes`` what really ran.
-    ``layers`` are the intermediate pictures that were asked for, by layer and light (``shadows.passes``).
+    ``layers`` are the intermediate pictures that were asked for, by layer and light (``skugga.shadows.passes``).
     """
 
     view: MapView | PerspectiveView
@@ -135,8 +135,9 @@ def render_frame(
 ) -> Frame:
     """Execute a plan and keep the intermediate ``layers``; ``on_block(done, total)`` is called after each block.
 
-    Pixels of a coarse map show the means of the ground that they cover (``shadows.coarse_pixels``), and edges in other maps are
-    anti-aliased (``shadows.map_edges``); or, as ``pixels_show`` says, pixels show their own points, by which accuracy is measured.
+    Pixels of a coarse map show the means of the ground that they cover (``skugga.shadows.coarse_pixels``), and edges in other maps
+    are anti-aliased (``skugga.shadows.map_edges``); or, as ``pixels_show`` says, pixels show their own points, by which accuracy is
+    measured.
 
     Raises ``UnsupportedError`` for a layer that the plan's algorithms do not have, ``RenderError`` where the work fails or
     where other passes ran than the plan lists.

@@ -9,19 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.attached import attached
-from shadows.coarse_pixels import CoarsePixels, coarse_pixels, heights_say_all, lit_nodes
-from shadows.passes import CASTERS_PASS, PassLog
-from shadows.plan import Plan
-from shadows.visibility import with_apparent_sun
-from terrain.cache import MIB, cached
-from terrain.gbuffer.bare_ground import bare_ground
-from terrain.gbuffer.bare_nodes import HALO, bare_nodes
-from terrain.gbuffer.covered_nodes import is_bare
-from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
-from terrain.geo.grid import MapView
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.shadows.attached import attached
+from skugga.shadows.coarse_pixels import CoarsePixels, coarse_pixels, heights_say_all, lit_nodes
+from skugga.shadows.passes import CASTERS_PASS, PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.visibility import with_apparent_sun
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.gbuffer.bare_ground import bare_ground
+from skugga.terrain.gbuffer.bare_nodes import HALO, bare_nodes
+from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,19 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from shadows.attached import attached
-from shadows.block_casters import needed_steps
-from shadows.passes import ATTACHED_PASS, PassLog
-from shadows.plan import Plan, Step
-from shadows.registry import ALGORITHMS
-from terrain.casters.reach import Casters
-from terrain.compiled import compiled, in_shares
-from terrain.effects.haze import hides_beyond_m
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.smooth_ground import on_smooth_ground
-from terrain.geo.grid import MapView
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.shadows.attached import attached
+from skugga.shadows.block_casters import needed_steps
+from skugga.shadows.passes import ATTACHED_PASS, PassLog
+from skugga.shadows.plan import Plan, Step
+from skugga.shadows.registry import ALGORITHMS
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.effects.haze import hides_beyond_m
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.smooth_ground import on_smooth_ground
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 
 def fill_steps(

@@ -2,7 +2,7 @@
 
 The counts of each part of an algorithm (named after the algorithm, or after what several share, and after the kind of view or
 light where the work is another one) are of things that take the same time whatever the scene, as far as may be: a device's time is
-the sum of counts times its rates (``selector.cost.cost_model``). Counts of a map view are those of one block. Each algorithm
+the sum of counts times its rates (``skugga.selector.cost.cost_model``). Counts of a map view are those of one block. Each algorithm
 counts its own parts; here is what several of them count by.
 """
 
@@ -15,11 +15,11 @@ from math import cos, erfc, log, pi, radians, sin, sqrt
 
 import numpy as np
 
-from terrain.facts.descriptor import Descriptor, LightKind
-from terrain.facts.fact_types import CasterFacts, LightFacts
-from terrain.gbuffer.antialias import SIDE, samples_per_pixel
-from terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
-from terrain.level.level import SUN, CasterKind
+from skugga.terrain.facts.descriptor import Descriptor, LightKind
+from skugga.terrain.facts.fact_types import CasterFacts, LightFacts
+from skugga.terrain.gbuffer.antialias import SIDE, samples_per_pixel
+from skugga.terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
+from skugga.terrain.level.level import SUN, CasterKind
 
 Counts = dict[str, float]
 """How often each thing is done, by name."""

@@ -1,7 +1,7 @@
 """A camera's way through key positions: smooth, without swinging past them, and at rest between two keys at one place.
 
-Places, heights and fields of view run along curves of ``terrain.geo.keyed_curve``, as what moves in a level does: the way is the
-same whichever way north lies, and a camera whose keys lie high stays high. Heights run in metres above the datum, not above the
+Places, heights and fields of view run along curves of ``skugga.terrain.geo.keyed_curve``, as what moves in a level does: the way is
+the same whichever way north lies, and a camera whose keys lie high stays high. Heights run in metres above the datum, not above the
 ground: a camera that followed every knoll under it would shake.
 """
 
@@ -13,11 +13,11 @@ from functools import cached_property
 
 import numpy as np
 
-from terrain.errors import InputError
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.geo.keyed_curve import KeyedCurve
-from terrain.ground.geolocate import Geolocator
-from terrain.level.camera_file import CameraPathSpec
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.geo.keyed_curve import KeyedCurve
+from skugga.terrain.ground.geolocate import Geolocator
+from skugga.terrain.level.camera_file import CameraPathSpec
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.interpolation import smoothstep
+from skugga.terrain.interpolation import smoothstep
 
 Ramp = tuple[tuple[float, str], ...]
 

@@ -10,9 +10,9 @@ from typing import Any, ParamSpec, TypeVar
 import numba
 from numba.core.dispatcher import Dispatcher
 
-from terrain.compiling.internal import InternalCompiler, hide_from_python
-from terrain.compiling.loop_cache import LoopCache
-from terrain.cores import usable_cores
+from skugga.terrain.compiling.internal import InternalCompiler, hide_from_python
+from skugga.terrain.compiling.loop_cache import LoopCache
+from skugga.terrain.cores import usable_cores
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -32,9 +32,9 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": F
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile ``function`` with numba.
 
-    ``terrain.compiling`` stores the machine code for other processes, and notices any change that it depends on. Pass values that
-    belong together as a ``NamedTuple``. Make what may be ``None`` a parameter of its own, so that each variant is compiled without
-    the code of the others.
+    ``skugga.terrain.compiling`` stores the machine code for other processes, and notices any change that it depends on. Pass values
+    that belong together as a ``NamedTuple``. Make what may be ``None`` a parameter of its own, so that each variant is compiled
+    without the code of the others.
     """
     loop = numba.njit(**_OPTIONS)(function)
     if isinstance(loop, Dispatcher):  # else a plain function, where numba is told not to compile

@@ -7,24 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.casters.clip_space import bend_px
-from terrain.casters.reach import overview_on_grid
-from terrain.effects import EFFECTS
-from terrain.effects.lamps import reaching_lamps
-from terrain.facts.caster_facts import caster_facts_of, slopes_deg, trees_of
-from terrain.facts.coarse_view import CoarseView, coarse_view_of
-from terrain.facts.descriptor import Descriptor, join_bands
-from terrain.facts.fact_types import Band, Fact, LampFacts
-from terrain.facts.light_facts import MIN_DISTANCE_M, ViewProbes, facts_of_lights
-from terrain.facts.visible_points import edge_share, ground_points, probes_in_map, probes_in_view
-from terrain.gbuffer.covered_nodes import PixelsShow, drawn_view, ground_pixels, halvings
-from terrain.gbuffer.ground_mesh import ground_mesh
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView, step_at_anchor_m
-from terrain.ground.elevation import Elevation
-from terrain.ground.surface import map_pixel_m
-from terrain.scene import Scene
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.clip_space import bend_px
+from skugga.terrain.casters.reach import overview_on_grid
+from skugga.terrain.effects import EFFECTS
+from skugga.terrain.effects.lamps import reaching_lamps
+from skugga.terrain.facts.caster_facts import caster_facts_of, slopes_deg, trees_of
+from skugga.terrain.facts.coarse_view import CoarseView, coarse_view_of
+from skugga.terrain.facts.descriptor import Descriptor, join_bands
+from skugga.terrain.facts.fact_types import Band, Fact, LampFacts
+from skugga.terrain.facts.light_facts import MIN_DISTANCE_M, ViewProbes, facts_of_lights
+from skugga.terrain.facts.visible_points import edge_share, ground_points, probes_in_map, probes_in_view
+from skugga.terrain.gbuffer.covered_nodes import PixelsShow, drawn_view, ground_pixels, halvings
+from skugga.terrain.gbuffer.ground_mesh import ground_mesh
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, step_at_anchor_m
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.scene import Scene
 
 
 def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", pixels_show: PixelsShow = "means") -> Descriptor:

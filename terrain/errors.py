@@ -1,4 +1,4 @@
-"""Domain errors. Everything below ``api`` raises these; ``api.errors`` alone knows status codes and exit codes.
+"""Domain errors. Everything below ``api`` raises these; ``skugga.api.errors`` alone knows status codes and exit codes.
 
 SkuggaError
 ├── InputError            what the caller gave is wrong: names the file or parameter, the value and what is allowed

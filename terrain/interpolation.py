@@ -1,4 +1,6 @@
-"""Interpolation of arrays: smoothstep, and bilinear look-ups. Imports no numba; ``terrain.interpolation_loops`` is for loops."""
+"""Interpolation of arrays: smoothstep, and bilinear look-ups. Imports no numba; ``skugga.terrain.interpolation_loops`` is for
+loops.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lights besides the sun: spots and omni lights at places. How bright they are at a point: ``terrain.effects.lamps``."""
+"""Lights besides the sun: spots and omni lights at places. How bright they are at a point: ``skugga.terrain.effects.lamps``."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from terrain.errors import Fault, LevelError
-from terrain.geo.world import LocalFrame
-from terrain.ground.geolocate import Geolocator
-from terrain.ground.ground_path import GroundPath, Standpoint, path_over_ground
-from terrain.level.parts import LightSpec
+from skugga.terrain.errors import Fault, LevelError
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.ground.geolocate import Geolocator
+from skugga.terrain.ground.ground_path import GroundPath, Standpoint, path_over_ground
+from skugga.terrain.level.parts import LightSpec
 
 CONE_EDGE = 0.1
 """Share of a spot's half angle over which its light fades out at the rim."""

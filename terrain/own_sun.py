@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.geo.world import World
-from terrain.ground.elevation import Elevation
-from terrain.level.parts import SunSpec
+from skugga.terrain.geo.world import World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.level.parts import SunSpec
 
 STEEPER_SHARE = 0.05
 """Share of the ground that falls away from the sun more steeply than its rays."""

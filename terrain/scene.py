@@ -13,13 +13,13 @@ from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError, ProjError
 
-from terrain.cache import MIB, cached, clear_scene_caches
-from terrain.errors import InputError, LevelError, SourceError
-from terrain.geo.axes import axes_of, check_axes
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.geo.grid import Grid, MapView, map_view
-from terrain.geo.sun import Sun, position_at, sun_of
-from terrain.geo.world import (
+from skugga.terrain.cache import MIB, cached, clear_scene_caches
+from skugga.terrain.errors import InputError, LevelError, SourceError
+from skugga.terrain.geo.axes import axes_of, check_axes
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.geo.grid import Grid, MapView, map_view
+from skugga.terrain.geo.sun import Sun, position_at, sun_of
+from skugga.terrain.geo.world import (
     LONGITUDE_LATITUDE,
     LocalFrame,
     World,
@@ -28,20 +28,20 @@ from terrain.geo.world import (
     longitude_latitude_of,
     transformer,
 )
-from terrain.ground.elevation import Elevation
-from terrain.ground.geolocate import Geolocator
-from terrain.ground.raster_warnings import raster_warnings
-from terrain.level.bundled import BUNDLED
-from terrain.level.level import SUN, LoadedLevel
-from terrain.level.parts import MapSpec, PerspectiveSpec, StyleSpec, SunSpec
-from terrain.lights import Lamp, LightPosition, light_position
-from terrain.own_sun import own_sun
-from terrain.scene_objects import SceneObjects
-from terrain.style import Style, style_of, styled
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.geolocate import Geolocator
+from skugga.terrain.ground.raster_warnings import raster_warnings
+from skugga.terrain.level.bundled import BUNDLED
+from skugga.terrain.level.level import SUN, LoadedLevel
+from skugga.terrain.level.parts import MapSpec, PerspectiveSpec, StyleSpec, SunSpec
+from skugga.terrain.lights import Lamp, LightPosition, light_position
+from skugga.terrain.own_sun import own_sun
+from skugga.terrain.scene_objects import SceneObjects
+from skugga.terrain.style import Style, style_of, styled
 
 if TYPE_CHECKING:
-    from terrain.geo.light_space import LightSpace
-    from terrain.ground.surface import Surface
+    from skugga.terrain.geo.light_space import LightSpace
+    from skugga.terrain.ground.surface import Surface
 
 DEFAULT_VIEW_PX = 1024
 """Longest side of a map view whose size nobody gave."""
@@ -150,7 +150,7 @@ class Scene:
     @cached_property
     def light(self) -> LightSpace | None:
         """The sun's light space."""
-        from terrain.geo.light_space import light_space
+        from skugga.terrain.geo.light_space import light_space
 
         return None if self.sun is None else light_space(self.world, self.sun)
 
@@ -200,7 +200,7 @@ class Scene:
 
     def surface(self, grid: Grid) -> Surface:
         """The ground on the nodes of a grid."""
-        from terrain.ground.surface import Surface
+        from skugga.terrain.ground.surface import Surface
 
         return Surface(self.world, self.elevation, grid)
 
@@ -376,7 +376,7 @@ def build_scene(loaded: LoadedLevel) -> Scene:
     """
     terrain, made = loaded.level.terrain, None
     if terrain.source is None:
-        from terrain.ground.generated_ground import generated_ground
+        from skugga.terrain.ground.generated_ground import generated_ground
 
         made = generated_ground(terrain)
     name = loaded.source or f"{loaded.path}: terrain"

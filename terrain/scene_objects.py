@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pyproj import CRS
 
-from terrain.cache import MIB, cached
-from terrain.geo.world import World
-from terrain.ground.elevation import Elevation
-from terrain.ground.geolocate import Geolocator
-from terrain.level.level import CasterKind, LoadedLevel
-from terrain.lights import LampRig, lamp_rig
-from terrain.meshes.solids import Solids
-from terrain.trees.trees import Trees
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.geo.world import World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.geolocate import Geolocator
+from skugga.terrain.level.level import CasterKind, LoadedLevel
+from skugga.terrain.lights import LampRig, lamp_rig
+from skugga.terrain.meshes.solids import Solids
+from skugga.terrain.trees.trees import Trees
 
 if TYPE_CHECKING:
-    from terrain.meshes.assemble import Placement
-    from terrain.trees.forest import Planting
+    from skugga.terrain.meshes.assemble import Placement
+    from skugga.terrain.trees.forest import Planting
 
 CREASE_DISTANCE = 0.8
 """Distance of unit normals (47 degrees) from which two faces meet in an edge and are not one bent surface."""
@@ -59,7 +59,9 @@ class SceneObjects:
         """The level's forest on its ground, if it names one."""
         if not self.loaded.level.forest:
             return None
-        from terrain.trees.forest import plant_trees  # its libraries take half a second, which levels without trees need not pay
+        from skugga.terrain.trees.forest import (
+            plant_trees,
+        )  # its libraries take half a second, which levels without trees need not pay
 
         return plant_trees(self.loaded, self.world, self.elevation)
 
@@ -83,7 +85,7 @@ class SceneObjects:
         """What meshes stand where, whatever the clock says, if there are any."""
         if not self.loaded.level.meshes:
             return None
-        from terrain.meshes.assemble import place_meshes
+        from skugga.terrain.meshes.assemble import place_meshes
 
         return place_meshes(self.loaded, self.world, self.elevation)
 
@@ -98,7 +100,7 @@ class SceneObjects:
         """The meshes, if there are any."""
         if self.placement is None:
             return None
-        from terrain.meshes.assemble import solids
+        from skugga.terrain.meshes.assemble import solids
 
         placed = solids(self.placement, self.seconds)
         return placed if len(placed.triangles) else None
@@ -111,7 +113,7 @@ class SceneObjects:
         """
         if self.solids is None:
             return np.zeros(0, np.float32)
-        from terrain.meshes.facets import creases, face_normals, faces_round
+        from skugga.terrain.meshes.facets import creases, face_normals, faces_round
 
         vertices, triangles = self.solids.vertices_earth_m, self.solids.triangles
         faces, around = face_normals(vertices, triangles), faces_round(len(vertices), triangles)

@@ -1,6 +1,6 @@
 """Colour of the visible surface: a style's tint, Lambert's law and sky light, in linear light, encoded as sRGB.
 
-What light and which look a scene has is said here; the loops over pixels are in ``terrain.shading_loops``.
+What light and which look a scene has is said here; the loops over pixels are in ``skugga.terrain.shading_loops``.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.climate import Ramp
-from terrain.compiled import in_shares
-from terrain.gbuffer.bare_ground import BareGround
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import RELIEF
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame
-from terrain.ground.surface import map_pixel_m
-from terrain.scene import Scene
-from terrain.shading_loops import (
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.climate import Ramp
+from skugga.terrain.compiled import in_shares
+from skugga.terrain.gbuffer.bare_ground import BareGround
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading_loops import (
     LightHere,
     Look,
     Tints,
@@ -31,8 +31,8 @@ from terrain.shading_loops import (
     shade_rows,
     slopes_sky,
 )
-from terrain.srgb import srgb_of_linear
-from terrain.style import TINT_COUNT, tint_table, veil_table
+from skugga.terrain.srgb import srgb_of_linear
+from skugga.terrain.style import TINT_COUNT, tint_table, veil_table
 
 LEVEL_ALBEDO = 0.42
 """Linear albedo of ground without any relief, which has no heights to tint."""

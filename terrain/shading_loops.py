@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
-from terrain.gbuffer.resolve import FOREST, RELIEF
-from terrain.interpolation_loops import smoothstep_of
-from terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
+from skugga.terrain.interpolation_loops import smoothstep_of
+from skugga.terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M
 
 SHOULDER, SHOULDER_LEFT = 0.6, 0.4
 """Linear colour from which on brighter light is shown darker than it is, and what is left from there to white."""

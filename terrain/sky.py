@@ -22,11 +22,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled, in_shares
-from terrain.geo.camera import PerspectiveView
-from terrain.interpolation import smoothstep
-from terrain.scene import Scene
-from terrain.shading_loops import dusk_of
+from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.interpolation import smoothstep
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading_loops import dusk_of
 
 SKY_ZENITH, SKY_HORIZON = (0.20, 0.36, 0.66), (0.72, 0.82, 0.92)
 """Linear colours of the day's sky behind a perspective view."""

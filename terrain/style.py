@@ -1,7 +1,8 @@
 """Styles: the colours and the light of shaded relief. A style changes how a picture looks, never where a shadow falls.
 
-**Tint.** The ground's colour goes by its height in metres, in ``natural`` also by its latitude (``terrain.climate``), the same in
-every level: two maps side by side agree. Lightness (CIE L*) never falls with height, so that higher ground is lighter ground.
+**Tint.** The ground's colour goes by its height in metres, in ``natural`` also by its latitude (``skugga.terrain.climate``), the
+same in every level: two maps side by side agree. Lightness (CIE L*) never falls with height, so that higher ground is lighter
+ground.
 
 **Light.** Direct sunlight is warm and skylight blue, as outdoors. In the sky's light alone, colours lose some of their saturation,
 so that shadows are bluish and not a dark shade of the ground's own colour (E. Imhof, Cartographic Relief Presentation, 1965,
@@ -9,7 +10,7 @@ chapters 9 and 13). A clear sky is brighter on the sun's side: slopes in shadow 
 which keeps relief readable inside of a cast shadow.
 
 **Aerial perspective.** Contrast grows with height: low ground lies under a thin veil of air (Imhof, chapter 13). In maps alone; in
-a perspective view the air lies between the eye and the ground (``terrain.effects.haze``).
+a perspective view the air lies between the eye and the ground (``skugga.terrain.effects.haze``).
 
 **Slopes.** Shading may exaggerate slopes for flat country, or limit them, where the edges of buildings are slopes of a raster and
 would be drawn as black and white rims. Cast shadows go by the true ground in both cases.
@@ -23,12 +24,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import ValidationError
 
-from terrain.cache import MIB, cached
-from terrain.climate import Ramp, climate_srgb, ramp_srgb
-from terrain.errors import InputError
-from terrain.level.level import Level
-from terrain.level.parts import StyleSpec
-from terrain.srgb import linear_of_srgb
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.climate import Ramp, climate_srgb, ramp_srgb
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.level import Level
+from skugga.terrain.level.parts import StyleSpec
+from skugga.terrain.srgb import linear_of_srgb
 
 TINT_LOW_M, TINT_STEP_M, TINT_COUNT = -512.0, 8.0, 1193
 """Heights at which a ramp is tabulated: -512 to 9,024 m. Beyond them its colours stay as they are."""

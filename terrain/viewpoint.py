@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.compiled import compiled
-from terrain.geo.sun import Sun
-from terrain.geo.world import World
-from terrain.ground.elevation import Elevation
-from terrain.level.parts import PerspectiveSpec
+from skugga.terrain.compiled import compiled
+from skugga.terrain.geo.sun import Sun
+from skugga.terrain.geo.world import World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.level.parts import PerspectiveSpec
 
 VIEWED_NODES = 257
 """Nodes of the lattice along its longer side."""

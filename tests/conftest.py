@@ -17,14 +17,17 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from terrain.compiling.ahead import PRODUCTS, compile_ahead
-from terrain.compiling.loop_cache import loop_store
-from terrain.cores import usable_cores
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.terrain.compiling.ahead import PRODUCTS, compile_ahead
+from skugga.terrain.compiling.loop_cache import loop_store
+from skugga.terrain.cores import usable_cores
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
+from tests.bare_names import refuse_bare_names
 from tests.rasters import write_geotiff
 
 pytest_plugins = ["tests.hard_cases.table"]
+
+refuse_bare_names()
 
 # No deadline: the first example of a property may compile a loop. The same examples each time; `make hunt` draws others.
 settings.register_profile("skugga", deadline=None, derandomize=True)
@@ -46,7 +49,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture
 def gl():
     """The process's OpenGL device; a test that leaves an OpenGL error behind fails."""
-    from terrain.gl.device import device
+    from skugga.terrain.gl.device import device
 
     owner = device()
     owner.check("before the test")
@@ -57,7 +60,7 @@ def gl():
 @pytest.fixture(autouse=True)
 def _no_gl_error_left() -> Iterator[None]:
     yield
-    from terrain.gl import device as module
+    from skugga.terrain.gl import device as module
 
     if module._device is not None:
         module._device.check("a test")
@@ -84,8 +87,10 @@ def _forked_render_processes(_own_cache: None, pytestconfig: pytest.Config) -> I
     """
     with pytest.MonkeyPatch.context() as patch:
         forkserver = get_context("forkserver")
-        forkserver.set_forkserver_preload(["tests.api.workers.fake_workers", "api.workers.warm_up", "api.workers.render_worker"])
-        if module := sys.modules.get("api.workers.spawned"):
+        forkserver.set_forkserver_preload(
+            ["tests.api.workers.fake_workers", "skugga.api.workers.warm_up", "skugga.api.workers.render_worker"]
+        )
+        if module := sys.modules.get("skugga.api.workers.spawned"):
             patch.setattr(module, "get_context", lambda method: forkserver)
         yield
 

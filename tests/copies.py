@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-COPIED = ("terrain", "shadows", "selector", "api", "configs", "tests")
+COPIED = ("skugga", "terrain", "shadows", "selector", "api", "configs", "tests")
 
 Edits = Mapping[str, tuple[tuple[str, str], ...]]
 """File -> what stands there once, and what shall stand there."""
@@ -22,7 +22,7 @@ def copy_with(folder: Path, edits: Edits) -> Path:
     """A copy of all floors, and of the tests, with some files changed."""
     house = folder / "house"
     for floor in COPIED:
-        shutil.copytree(ROOT / floor, house / floor, ignore=shutil.ignore_patterns("static", "golden"))
+        shutil.copytree(ROOT / floor, house / floor, symlinks=True, ignore=shutil.ignore_patterns("static", "golden"))
     for name, changes in edits.items():
         path = house / name
         text = path.read_text(encoding="utf-8")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.passes import PassLog
-from shadows.truth import truth
-from shadows.truth.truth import TruthSettings
-from terrain.casters.reach import Casters
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.shadows.passes import PassLog
+from skugga.shadows.truth import truth
+from skugga.shadows.truth.truth import TruthSettings
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 
 def soft_truth(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int = 64) -> np.ndarray:

@@ -16,22 +16,33 @@ from typing import Any
 import httpx
 import numpy as np
 
-from api.cli import main as cli
-from api.http.app import create_app
-from api.layers import encode_picture, picture_layer
-from api.settings import Settings
-from api.workers.block_tiles import PicturedBlock, encoded_tiles
-from api.workers.jobs import BlockJob, BlockTiles, DescribedPlanJob, DescriptorJob, Ping, PlanAnswer, PlanJob, Pong, Ready, Snapshot
-from api.workers.render_worker import run_job
-from api.workers.worker_config import WorkerConfig
-from api.workers.worker_state import WorkerState
-from selector.candidates import name_of
-from shadows.maps.settings import ShadowMapSettings
-from terrain.describe import describe
-from terrain.errors import SkuggaError
-from terrain.geo.grid import BLOCK_PX
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.api.cli import main as cli
+from skugga.api.http.app import create_app
+from skugga.api.layers import encode_picture, picture_layer
+from skugga.api.settings import Settings
+from skugga.api.workers.block_tiles import PicturedBlock, encoded_tiles
+from skugga.api.workers.jobs import (
+    BlockJob,
+    BlockTiles,
+    DescribedPlanJob,
+    DescriptorJob,
+    Ping,
+    PlanAnswer,
+    PlanJob,
+    Pong,
+    Ready,
+    Snapshot,
+)
+from skugga.api.workers.render_worker import run_job
+from skugga.api.workers.worker_config import WorkerConfig
+from skugga.api.workers.worker_state import WorkerState
+from skugga.selector.candidates import name_of
+from skugga.shadows.maps.settings import ShadowMapSettings
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import SkuggaError
+from skugga.terrain.geo.grid import BLOCK_PX
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 from tests.api.conftest import running
 
 TILES = "/levels/hills/tiles/WebMercatorQuad/12/2144/1432"
@@ -92,9 +103,9 @@ def asked_of(document: dict[str, Any], name: str) -> dict[str, Any]:
 
 def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
     """A setting ``gloss`` of ``dull`` or ``bright``."""
-    from api.report.plan_text import format_plan
-    from selector.pin import pinned_text, pins
-    from selector.planner.planner import make_plan
+    from skugga.api.report.plan_text import format_plan
+    from skugga.selector.pin import pinned_text, pins
+    from skugga.selector.planner.planner import make_plan
 
     more = level.with_name("glossy.json")
     more.write_text(json.dumps({**json.loads(level.read_text()), "shadows": {"gloss": "bright"}}))

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from morecantile import tms as matrix_sets
 
-from selector.planner.planner import make_plan
-from shadows.plan import Plan
-from shadows.render import Frame, render_frame
-from terrain.describe import describe
-from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
-from terrain.scene import Scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import Frame, render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, tile_grid
+from skugga.terrain.scene import Scene
 
 
 def plan_of(scene: Scene, view: MapView, **overrides: Any) -> Plan:

@@ -17,7 +17,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from terrain.gl.device import Device
+from skugga.terrain.gl.device import Device
 
 SOFTPIPE = {"GALLIUM_DRIVER": "softpipe", "MESA_GL_VERSION_OVERRIDE": "4.5", "MESA_GLSL_VERSION_OVERRIDE": "450"}
 

@@ -15,18 +15,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from api.report.page.marks import mark_of
-from selector.candidates import candidates, name_of
-from selector.cost import calibration
-from selector.cost.calibration import calibrate
-from selector.cost.calibration_scenes import calibration_views
-from selector.cost.device_profile import DeviceProfile
-from selector.measure.compare import compare
-from selector.measure.probe import probed_plan
-from selector.planner.planner import make_plan
-from selector.predict import predicted_plan
-from selector.select import select
-from shadows.algorithm import (
+from skugga.api.report.page.marks import mark_of
+from skugga.selector.candidates import candidates, name_of
+from skugga.selector.cost import calibration
+from skugga.selector.cost.calibration import calibrate
+from skugga.selector.cost.calibration_scenes import calibration_views
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.measure.compare import compare
+from skugga.selector.measure.probe import probed_plan
+from skugga.selector.planner.planner import make_plan
+from skugga.selector.predict import predicted_plan
+from skugga.selector.select import select
+from skugga.shadows.algorithm import (
     Accuracy,
     Algorithm,
     AlgorithmSettings,
@@ -38,18 +38,18 @@ from shadows.algorithm import (
     Search,
     SettingsRequest,
 )
-from shadows.plan import Plan
-from shadows.registry import ALGORITHMS, algorithms_serving, register_algorithm
-from shadows.render import render_frame
-from shadows.truth.truth import lit_from, ray_scene
-from shadows.work import Work, Workload
-from terrain.cache import Cache, Missing, caches, clear_caches
-from terrain.describe import describe
-from terrain.errors import LevelError, UnsupportedError
-from terrain.facts.descriptor import Descriptor
-from terrain.level.algorithm_names import ALGORITHM_NAMES, served_algorithms
-from terrain.level.level import SUN, load_level
-from terrain.scene import Scene, build_scene
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import ALGORITHMS, algorithms_serving, register_algorithm
+from skugga.shadows.render import render_frame
+from skugga.shadows.truth.truth import lit_from, ray_scene
+from skugga.shadows.work import Work, Workload
+from skugga.terrain.cache import Cache, Missing, caches, clear_caches
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import LevelError, UnsupportedError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES, served_algorithms
+from skugga.terrain.level.level import SUN, load_level
+from skugga.terrain.scene import Scene, build_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -370,6 +370,6 @@ def test_every_cache_of_a_room_is_kept_by_an_algorithm(gl):
     assert kept <= there
     rooms = tuple(f"shadows.{room}." for room in ("maps", "volumes", "hybrid", "sweep", "truth.truth", "planar"))
     assert {name for name in there if name.startswith(rooms)} - {
-        "shadows.maps.resolve._of_runs",
-        "shadows.maps.resolve._splits",
+        "skugga.shadows.maps.resolve._of_runs",
+        "skugga.shadows.maps.resolve._splits",
     } <= kept

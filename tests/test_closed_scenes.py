@@ -10,31 +10,31 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from selector.measure.footprint import texel_footprint_px
-from selector.measure.view_truth import truth_of_view
-from selector.planner.planner import make_plan
-from shadows.attached import attached
-from shadows.ground_pictures import _ground_between_nodes
-from shadows.point.horizon import horizon_round, surroundings
-from shadows.point.place import place_at
-from shadows.render import render_frame
-from shadows.sunlit_ground import rim_points
-from terrain.cache import caches, clear_caches
-from terrain.casters.horizon_bound import patch_ground
-from terrain.casters.reach import Patch
-from terrain.describe import describe
-from terrain.effects import ground_detail
-from terrain.facts.relief_rays import overview_probes
-from terrain.facts.visible_points import probes_in_map
-from terrain.gbuffer.bare_ground import bare_ground
-from terrain.gbuffer.bare_nodes import bare_nodes
-from terrain.gbuffer.ground_mesh import ground_mesh
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.geo.world import LONGITUDE_LATITUDE, transformer
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.selector.measure.footprint import texel_footprint_px
+from skugga.selector.measure.view_truth import truth_of_view
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.attached import attached
+from skugga.shadows.ground_pictures import _ground_between_nodes
+from skugga.shadows.point.horizon import horizon_round, surroundings
+from skugga.shadows.point.place import place_at
+from skugga.shadows.render import render_frame
+from skugga.shadows.sunlit_ground import rim_points
+from skugga.terrain.cache import caches, clear_caches
+from skugga.terrain.casters.horizon_bound import patch_ground
+from skugga.terrain.casters.reach import Patch
+from skugga.terrain.describe import describe
+from skugga.terrain.effects import ground_detail
+from skugga.terrain.facts.relief_rays import overview_probes
+from skugga.terrain.facts.visible_points import probes_in_map
+from skugga.terrain.gbuffer.bare_ground import bare_ground
+from skugga.terrain.gbuffer.bare_nodes import bare_nodes
+from skugga.terrain.gbuffer.ground_mesh import ground_mesh
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
 
 X, Y = 500_000.0, 5_300_480.0
@@ -127,7 +127,7 @@ def test_nothing_is_left_of_a_scene_that_is_closed(gl, scene):
     del alive
     gc.collect()
     assert {cache.name: len(cache) for cache in caches("light", "scene") if len(cache)} == {}
-    assert sum(cache.nbytes for cache in caches("light", "scene") if cache.name != "terrain.gl.depth_targets") == 0
+    assert sum(cache.nbytes for cache in caches("light", "scene") if cache.name != "skugga.terrain.gl.depth_targets") == 0
 
 
 def test_a_scene_that_nobody_holds_any_more_leaves_nothing_either(gl, scene_of_its_own):

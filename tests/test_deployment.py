@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from api.settings import Settings
+from skugga.api.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
 DEPLOYMENT = ROOT / "examples" / "deployment"

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from api.cli.lazy_commands import COMMANDS
+from skugga.api.cli.lazy_commands import COMMANDS
 from tests.rasters import write_geotiff
 
 ROOT = Path(__file__).parents[1]
@@ -111,7 +111,7 @@ WORK: dict[str, tuple[list[str], frozenset[str]]] = {
 ELSEWHERE = {"calibrate": "takes a minute", "compile": "has its own tests", "serve": "is below"}
 """Commands that are not run here, and why."""
 
-PROGRAM = "import sys; sys.argv[:] = {argv!r}\nfrom api.cli.main import main; main()"
+PROGRAM = "import sys; sys.argv[:] = {argv!r}\nfrom skugga.api.cli.main import main; main()"
 
 REPORT = """
 import sys
@@ -228,7 +228,7 @@ def ask():
 if __name__ == "__main__":
     threading.Thread(target=ask, daemon=True).start()
     sys.argv[:] = ["skugga", "serve", "hills.tif", "--port", "{port}", "--workers", "1"]
-    from api.cli.main import main
+    from skugga.api.cli.main import main
     main()
 """
 

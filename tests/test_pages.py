@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 import typer
 
-from api.cli.main import app
 from benchmarks.peers import figures as peer_figures
 from benchmarks.peers.pages import page, short_table
 from benchmarks.seeds import __main__ as seeds
 from benchmarks.sun_questions.figures import SunComparison
 from benchmarks.sun_questions.words import sun_page
+from skugga.api.cli.main import app
 
 HERE = Path(__file__).parent.parent
 BENCHMARKS, DOCS = HERE / "benchmarks", HERE / "docs"

@@ -8,6 +8,7 @@ import pickle
 import pydoc
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -32,7 +33,7 @@ def run(code: str) -> str:
 
 def typed_names() -> dict[str, tuple[str, str]]:
     """The names of ``skugga`` as type checkers see them: module and name there."""
-    (block,) = (node for node in ast.parse((ROOT / "skugga.py").read_text("utf-8")).body if isinstance(node, ast.If))
+    (block,) = (node for node in ast.parse((ROOT / "skugga" / "__init__.py").read_text("utf-8")).body if isinstance(node, ast.If))
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
     return {alias.asname or alias.name: (str(node.module), alias.name) for node in imports for alias in node.names}
 
@@ -47,6 +48,10 @@ def test_every_name_is_what_type_checkers_take_it_for():
 def test_names_are_listed_before_they_are_used():
     """By ``dir``, and so by completion in a shell."""
     assert run("import skugga; print(set(skugga.__all__) <= set(dir(skugga)), 'shadow' in vars(skugga))") == "True False"
+
+
+def test_version_is_that_of_the_installation():
+    assert run("import skugga; print(skugga.__version__)") == version("skugga")
 
 
 def test_unknown_name_is_an_attribute_error():
@@ -94,7 +99,7 @@ def test_xarray_is_not_imported_for_its_accessor():
 def test_accessor_is_imported_when_it_is_used():
     pytest.importorskip("rioxarray")
     code = (
-        "import skugga, xarray, sys; name = 'api.library.accessor'; before = name in sys.modules;"
+        "import skugga, xarray, sys; name = 'skugga.api.library.accessor'; before = name in sys.modules;"
         "print(hasattr(xarray.DataArray, 'skugga'), before, type(xarray.DataArray([1]).skugga).__name__)"
     )
     assert run(code) == "True False SkuggaAccessor"

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terrain.compiling.bundle import use_bundled_loops
+from skugga.terrain.compiling.bundle import use_bundled_loops
 from tests.rasters import write_geotiff
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -72,6 +72,21 @@ def test_the_first_mask_of_a_wheel_compiles_nothing(
     assert dem.with_name("mask.tif").is_file()
     assert not list(Path(home["HOME"]).rglob("*.loop"))
     assert not use_bundled_loops(), "a clone compiles for its own processor"
+
+
+def test_a_wheel_has_one_name(installed: Path) -> None:
+    (record,) = installed.parents[1].glob("lib/python*/site-packages/skugga-*.dist-info/RECORD")
+    files = [line.partition(",")[0] for line in record.read_text(encoding="utf-8").splitlines()]
+    names = {name.partition("/")[0] for name in files if not name.startswith("../")}
+    assert names == {"skugga", record.parent.name}
+    assert not any(path.is_symlink() for path in record.parents[1].joinpath("skugga").rglob("*"))
+
+
+def test_a_wheel_renders(installed: Path, dem: Path, home: dict[str, str]) -> None:
+    command = ["render", dem, "--azimuth", "237", "--altitude", "12", "--size", "64x64", "-o", dem.with_name("color.png")]
+    done = subprocess.run([installed.with_name("skugga"), *command], env=home, cwd=dem.parent, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert dem.with_name("color.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_wheel_of_another_version_compiles(installed: Path, dem: Path, home: dict[str, str]) -> None:

@@ -1,4 +1,1 @@
-"""Animations as jobs of a service: asked for, drawn frame by frame, kept for a while, and stopped where nobody asks any more.
-
-May import: errors, exhaustion, film_files, settings, workers.
-"""
+"""Animations as jobs of a service: asked for, drawn frame by frame, kept for a while, and stopped where nobody asks any more."""

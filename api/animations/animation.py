@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Literal, get_args
 
-from api.animations.film_file import FilmFile
-from api.animations.film_order import FilmOrder
-from terrain.errors import SkuggaError
+from skugga.api.animations.film_file import FilmFile
+from skugga.api.animations.film_order import FilmOrder
+from skugga.terrain.errors import SkuggaError
 
 AnimationStatus = Literal["accepted", "running", "successful", "failed", "dismissed"]
 """How far an animation is: the words of OGC API - Processes, part 1 (18-062r2), section 7.12."""

@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from api.animations.animation import STATUSES, Animation, AnimationStatus
-from api.animations.film_file import FilmFile
-from api.animations.film_order import FilmOrder
-from api.animations.frame_handover import FrameHandover
-from api.errors import LaterError, NotServedError, StorageError
-from api.exhaustion import exhausted_error, in_thread
-from api.settings import Settings
-from api.workers.admission import retry_after_s
-from terrain.cache import Cache, Missing
-from terrain.errors import BusyError, Fault, InputError, RenderError, SkuggaError
+from skugga.api.animations.animation import STATUSES, Animation, AnimationStatus
+from skugga.api.animations.film_file import FilmFile
+from skugga.api.animations.film_order import FilmOrder
+from skugga.api.animations.frame_handover import FrameHandover
+from skugga.api.errors import LaterError, NotServedError, StorageError
+from skugga.api.exhaustion import exhausted_error, in_thread
+from skugga.api.settings import Settings
+from skugga.api.workers.admission import retry_after_s
+from skugga.terrain.cache import Cache, Missing
+from skugga.terrain.errors import BusyError, Fault, InputError, RenderError, SkuggaError
 
 ID_BYTES = 16
 """Of the random number that is an animation's name: nobody guesses one of 2**128."""
@@ -52,8 +52,8 @@ class Animations:
         self._draw, self._encode = draw, encode
         self._going: dict[str, Animation] = {}
         self._kept: Cache[Animation] = Cache(
-            "api.animations.kept", "process", settings.animation_bytes, lambda each: each.film_bytes + STATE_BYTES, self._let_go,
-            settings.animations_kept,
+            "skugga.api.animations.kept", "process", settings.animation_bytes, lambda each: each.film_bytes + STATE_BYTES,
+            self._let_go, settings.animations_kept,
         )  # fmt: skip
         self._by_order: dict[FilmOrder, Animation] = {}
         self._turns = asyncio.Semaphore(settings.animations_at_a_time)

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from api.animations.animations import Draw
-from api.animations.film_order import FilmOrder
-from api.errors import LevelChangedError
-from api.film_files import write_film
-from api.workers.jobs import CarriedPlans, FilmPicture, FrameJob, LevelKey
-from api.workers.pool import Pool
+from skugga.api.animations.animations import Draw
+from skugga.api.animations.film_order import FilmOrder
+from skugga.api.errors import LevelChangedError
+from skugga.api.film_files import write_film
+from skugga.api.workers.jobs import CarriedPlans, FilmPicture, FrameJob, LevelKey
+from skugga.api.workers.pool import Pool
 
 
 def frame_job(order: FilmOrder, number: int, before: CarriedPlans | None = None) -> FrameJob:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from api.workers.jobs import Film
+from skugga.api.workers.jobs import Film
 
 FilmFormat = Literal["webp", "mp4"]
 

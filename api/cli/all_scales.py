@@ -7,22 +7,22 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from api.cli.all_views import cells_of, facts_of
-from api.cli.tables import named_table
-from api.cli.times import duration_of
-from api.device_calibration import calibration
-from api.file_stamps import file_stamps, level_version, watched_files
-from api.map_probing import probe_maps
-from selector.kept_probes import save_probes
-from selector.map_probes import PROBED_FOR, MapProbes
-from selector.measure.probe import DEFAULT_BUDGET_S, ProbedView
-from shadows.plan import Plan
-from terrain.errors import InputError, LevelError
-from terrain.gl import device as gl
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.api.cli.all_views import cells_of, facts_of
+from skugga.api.cli.tables import named_table
+from skugga.api.cli.times import duration_of
+from skugga.api.device_calibration import calibration
+from skugga.api.file_stamps import file_stamps, level_version, watched_files
+from skugga.api.map_probing import probe_maps
+from skugga.selector.kept_probes import save_probes
+from skugga.selector.map_probes import PROBED_FOR, MapProbes
+from skugga.selector.measure.probe import DEFAULT_BUDGET_S, ProbedView
+from skugga.shadows.plan import Plan
+from skugga.terrain.errors import InputError, LevelError
+from skugga.terrain.gl import device as gl
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 
 
 def probe_all_scales(

@@ -9,18 +9,18 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
-from api.cli.planning import PlannedView, asking, plan_scene_view, unpinned
-from api.cli.snapshot import scene_and_view
-from api.cli.tables import named_table
-from api.report.plan_text import POLICIES, format_expectation, format_sun, format_view_and_sun
-from selector.formatting import format_duration, format_percent
-from selector.pin import PIN_COMMENT, PINS, pin, pins
-from shadows.plan import Plan
-from shadows.registry import NO_SHADOWS
-from terrain.describe import describe
-from terrain.errors import InputError
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
+from skugga.api.cli.planning import PlannedView, asking, plan_scene_view, unpinned
+from skugga.api.cli.snapshot import scene_and_view
+from skugga.api.cli.tables import named_table
+from skugga.api.report.plan_text import POLICIES, format_expectation, format_sun, format_view_and_sun
+from skugga.selector.formatting import format_duration, format_percent
+from skugga.selector.pin import PIN_COMMENT, PINS, pin, pins
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import NO_SHADOWS
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
 
 
 def refuse_beside(option: str, view: str, asked: dict[str, object]) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from terrain.errors import InputError
+from skugga.terrain.errors import InputError
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 ViewOption = Annotated[str, typer.Option(help="A view of the level.")]

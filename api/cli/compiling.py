@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from api.cli.progress import Advance, ProgressBar
-from terrain.compiling.ahead import PRODUCTS, compile_ahead
-from terrain.cores import usable_cores
-from terrain.errors import RenderError
-from terrain.whole_files import disk_error
+from skugga.api.cli.progress import Advance, ProgressBar
+from skugga.terrain.compiling.ahead import PRODUCTS, compile_ahead
+from skugga.terrain.cores import usable_cores
+from skugga.terrain.errors import RenderError
+from skugga.terrain.whole_files import disk_error
 
 
 def compile_for_command(products: Sequence[str]) -> int:
@@ -36,8 +36,8 @@ def compile_everything() -> str:
 
     Raises ``OSError`` if the store cannot be written, ``RenderError`` if loops are missing in it all the same.
     """
-    from terrain.compiling.farm import missing_tasks
-    from terrain.compiling.loop_cache import loop_store
+    from skugga.terrain.compiling.farm import missing_tasks
+    from skugga.terrain.compiling.loop_cache import loop_store
 
     start = clock.perf_counter()
     folder = loop_store().folder

@@ -6,8 +6,8 @@ import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from api.catalogue import RASTER_SUFFIXES, bundled_levels
-from terrain.level.rasters import LEVEL_SUFFIXES
+from skugga.api.catalogue import RASTER_SUFFIXES, bundled_levels
+from skugga.terrain.level.rasters import LEVEL_SUFFIXES
 
 
 def complete_words(words: Iterable[object]) -> Callable[[str], list[str]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 
-from terrain.errors import NoOpenGLError, SkuggaError
+from skugga.terrain.errors import NoOpenGLError, SkuggaError
 
 PACKAGES = ("moderngl", "PyOpenGL", "numpy", "numba", "rasterio", "pyproj", "pvlib", "fastapi", "uvicorn", "pydantic")
 
@@ -44,7 +44,7 @@ def _package(name: str) -> Finding:
 
 
 def _opengl() -> Finding:
-    from terrain.gl.device import device
+    from skugga.terrain.gl.device import device
 
     try:
         gl = device()
@@ -57,8 +57,8 @@ def _opengl() -> Finding:
 
 def _egl_devices() -> list[Finding]:
     """Each device that EGL lists, asked what it draws with. One that draws nothing is no fault while another one does."""
-    from terrain.gl.device import device
-    from terrain.gl.egl_devices import EGL_DEVICE, egl_devices, probed_device
+    from skugga.terrain.gl.device import device
+    from skugga.terrain.gl.egl_devices import EGL_DEVICE, egl_devices, probed_device
 
     try:
         devices = egl_devices()
@@ -81,8 +81,8 @@ def _egl_devices() -> list[Finding]:
 
 def _calibration() -> Finding:
     """What predictions go by; without it the rules choose, which is no fault."""
-    from selector.cost.device_profile import load_profile, missing_profile_reason
-    from terrain.gl.device import device
+    from skugga.selector.cost.device_profile import load_profile, missing_profile_reason
+    from skugga.terrain.gl.device import device
 
     try:
         gl = device()
@@ -99,9 +99,9 @@ def _calibration() -> Finding:
 
 def _drawing() -> Finding:
     """Draw a small known map: the whole path from a level to a frame."""
-    from api.catalogue import find_level
-    from api.cli.snapshot import snapshot
-    from terrain.level.parts import SunSpec
+    from skugga.api.catalogue import find_level
+    from skugga.api.cli.snapshot import snapshot
+    from skugga.terrain.level.parts import SunSpec
 
     try:
         sun = SunSpec(azimuth=237, altitude=10)
@@ -114,12 +114,12 @@ def _drawing() -> Finding:
 
 def _compiled_loops() -> Finding:
     """After a drawing, which compiles some."""
-    from terrain.compiling.loop_cache import loop_store
+    from skugga.terrain.compiling.loop_cache import loop_store
 
     store = loop_store()
     return Finding("compiled loops", store.problem is None, store.problem or f"stored in {store.folder}")
 
 
 def _viewer() -> Finding:
-    built = files("api").joinpath("static", "index.html").is_file()
+    built = files("skugga.api").joinpath("static", "index.html").is_file()
     return Finding("viewer", built, "built" if built else "not built: make viewer (tiles are served without it)")

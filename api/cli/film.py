@@ -13,24 +13,24 @@ from typing import Any
 import numpy as np
 import typer
 
-from api.cli.outputs import check_targets
-from api.cli.progress import LinesOverBar
-from api.cli.snapshot import Appearance, check_seconds, need_for_view
-from api.cli.warnings import say_own_sun, say_warnings
-from api.device_calibration import calibration_for
-from api.film_files import check_film_path, film_files, write_film
-from api.film_span import USUAL_FPS, film_span
-from selector.film import FilmFrame, film_frames, frame_moments
-from selector.film_request import FilmRequest
-from selector.replanning import Replanner
-from terrain.compiled import CORES
-from terrain.errors import InputError, printable
-from terrain.level.camera_file import load_camera_path
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
-from terrain.whole_files import write_whole
+from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.progress import LinesOverBar
+from skugga.api.cli.snapshot import Appearance, check_seconds, need_for_view
+from skugga.api.cli.warnings import say_own_sun, say_warnings
+from skugga.api.device_calibration import calibration_for
+from skugga.api.film_files import check_film_path, film_files, write_film
+from skugga.api.film_span import USUAL_FPS, film_span
+from skugga.selector.film import FilmFrame, film_frames, frame_moments
+from skugga.selector.film_request import FilmRequest
+from skugga.selector.replanning import Replanner
+from skugga.terrain.compiled import CORES
+from skugga.terrain.errors import InputError, printable
+from skugga.terrain.level.camera_file import load_camera_path
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
+from skugga.terrain.whole_files import write_whole
 
 MAX_FRAMES_AHEAD = 4
 """Frames that are drawn at a time beside the one that is waited for: each takes some 100 MB."""

@@ -7,16 +7,16 @@ import os
 from pathlib import Path
 from typing import Any
 
-from api.cli.outputs import check_targets
-from api.cli.warnings import say_warnings
-from terrain.errors import InputError
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import METRES_PER_UNIT, PerspectiveSpec, SunSpec
-from terrain.level.rasters import is_level_raster
-from terrain.scene import Scene, build_scene
-from terrain.viewpoint import good_view
-from terrain.whole_files import write_whole
+from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.warnings import say_warnings
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import METRES_PER_UNIT, PerspectiveSpec, SunSpec
+from skugga.terrain.level.rasters import is_level_raster
+from skugga.terrain.scene import Scene, build_scene
+from skugga.terrain.viewpoint import good_view
+from skugga.terrain.whole_files import write_whole
 
 FIRST_VIEW = "view"
 """Name of the perspective view that is proposed."""

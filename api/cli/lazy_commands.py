@@ -45,7 +45,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "doctor": ("doctor:doctor", "Check OpenGL and packages of this machine, and name what is missing."),
 }
-"""Command -> its function (module of ``api.cli.commands``, name) and its help, which is the function's docstring."""
+"""Command -> its function (module of ``skugga.api.cli.commands``, name) and its help, which is the function's docstring."""
 
 
 class LazyCommand(TyperCommand):
@@ -60,7 +60,7 @@ class LazyCommand(TyperCommand):
         """The command with its options."""
         module, _, function = self._function.partition(":")
         alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-        alone.command(self.name)(getattr(import_module(f"api.cli.commands.{module}"), function))
+        alone.command(self.name)(getattr(import_module(f"skugga.api.cli.commands.{module}"), function))
         return typer.main.get_command(alone)
 
     def make_context(self, *args: Any, **options: Any) -> Any:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from api.catalogue import find_level
-from api.cli.completion import complete_level, complete_words
-from terrain.errors import InputError
+from skugga.api.catalogue import find_level
+from skugga.api.cli.completion import complete_level, complete_words
+from skugga.terrain.errors import InputError
 
 if TYPE_CHECKING:
-    from terrain.level.level_source import LevelSource
+    from skugga.terrain.level.level_source import LevelSource
 
 _LEVEL = Annotated[
     str,
@@ -106,7 +106,7 @@ def _find_named(text: str, asked: dict[str, Any]) -> LevelSource:
 
 
 def _find(name: str, asked: dict[str, Any]) -> LevelSource:
-    from terrain.level.level_source import LevelSource, direction_named, units_named
+    from skugga.terrain.level.level_source import LevelSource, direction_named, units_named
 
     named = {"units": units_named("--units", asked["units"]), "positive": direction_named("--positive", asked["positive"])}
     return LevelSource(path=find_level(name), **{**asked, **named})

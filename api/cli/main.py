@@ -14,12 +14,12 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.lazy_commands import CommandGroup
-from api.errors import exit_status
-from terrain.compiling.bundle import use_bundled_loops
-from terrain.compiling.hooks import compiled_by
-from terrain.errors import InputError, SkuggaError, printable
-from terrain.level.gdal_guard import cap_caches, forbid_code
+from skugga.api.cli.lazy_commands import CommandGroup
+from skugga.api.errors import exit_status
+from skugga.terrain.compiling.bundle import use_bundled_loops
+from skugga.terrain.compiling.hooks import compiled_by
+from skugga.terrain.errors import InputError, SkuggaError, printable
+from skugga.terrain.level.gdal_guard import cap_caches, forbid_code
 
 app = typer.Typer(
     cls=CommandGroup,
@@ -82,7 +82,7 @@ def main() -> None:
 
 
 def _compile_products(products: Sequence[str]) -> None:
-    from api.cli.compiling import compile_for_command
+    from skugga.api.cli.compiling import compile_for_command
 
     compile_for_command(products)
 

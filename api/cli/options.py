@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.completion import complete_words
-from api.shadow_parameters import FunctionT, takes_settings
-from terrain.level.algorithm_names import ALGORITHM_NAMES
-from terrain.level.level import Shadows, parse_algorithm
-from terrain.level.setting import FrontEnd, Setting, settings_of
+from skugga.api.cli.completion import complete_words
+from skugga.api.shadow_parameters import FunctionT, takes_settings
+from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES
+from skugga.terrain.level.level import Shadows, parse_algorithm
+from skugga.terrain.level.setting import FrontEnd, Setting, settings_of
 
 
 def with_shadow_options(command: FrontEnd, after: str = "crs") -> Callable[[FunctionT], FunctionT]:

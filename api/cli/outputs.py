@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from terrain.errors import InputError, SkuggaError
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
+from skugga.terrain.errors import InputError, SkuggaError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
 
 
 def check_targets(level: LevelSource, targets: Iterable[tuple[str, Path | None]], *inputs: Path | None) -> None:

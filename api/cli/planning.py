@@ -7,24 +7,24 @@ from datetime import date
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from api.cli.snapshot import scene_and_view
-from api.cli.times import duration_of
-from api.device_calibration import calibration_for
-from api.report.plan_text import POLICIES, format_choices, format_expectation, format_heading, format_view_and_sun
-from selector.choices import PolicyName
-from selector.pin import PIN_COMMENT, pin, pinned, pins, unpinned_values
-from selector.planner.planner import make_plan as choose_by_rules
-from selector.select import plan_of_view
-from shadows.plan import Plan
-from terrain.describe import describe
-from terrain.errors import InputError, UnsupportedError
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.level.level import LevelShadows
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
-from terrain.whole_files import write_whole
+from skugga.api.cli.snapshot import scene_and_view
+from skugga.api.cli.times import duration_of
+from skugga.api.device_calibration import calibration_for
+from skugga.api.report.plan_text import POLICIES, format_choices, format_expectation, format_heading, format_view_and_sun
+from skugga.selector.choices import PolicyName
+from skugga.selector.pin import PIN_COMMENT, pin, pinned, pins, unpinned_values
+from skugga.selector.planner.planner import make_plan as choose_by_rules
+from skugga.selector.select import plan_of_view
+from skugga.shadows.plan import Plan
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import InputError, UnsupportedError
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import LevelShadows
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
+from skugga.terrain.whole_files import write_whole
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,24 +14,24 @@ from pydantic import ValidationError
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from api.cli.outputs import check_targets
-from api.cli.tables import wide_console
-from api.cli.warnings import say_warnings
-from api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
-from api.point.polar_picture import sky_picture
-from api.point.report import around_point, clock_asked, day_asked, point_report
-from api.point.track import read_points, read_track, sun_at_points, with_arrivals
-from api.point.values import PointAnswerRow, PointQuery, PointReport, ReportedCaster, TrackPoint
-from shadows.point.horizon import Surroundings, horizon_round
-from terrain.compiling.ahead import POINTS
-from terrain.compiling.hooks import need
-from terrain.errors import MISSING_VALUE, InputError
-from terrain.geo.clock import clock_named, date_of
-from terrain.level.level import load_level, parse_sun
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
-from terrain.whole_files import write_whole
+from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.tables import wide_console
+from skugga.api.cli.warnings import say_warnings
+from skugga.api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
+from skugga.api.point.polar_picture import sky_picture
+from skugga.api.point.report import around_point, clock_asked, day_asked, point_report
+from skugga.api.point.track import read_points, read_track, sun_at_points, with_arrivals
+from skugga.api.point.values import PointAnswerRow, PointQuery, PointReport, ReportedCaster, TrackPoint
+from skugga.shadows.point.horizon import Surroundings, horizon_round
+from skugga.terrain.compiling.ahead import POINTS
+from skugga.terrain.compiling.hooks import need
+from skugga.terrain.errors import MISSING_VALUE, InputError
+from skugga.terrain.geo.clock import clock_named, date_of
+from skugga.terrain.level.level import load_level, parse_sun
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
+from skugga.terrain.whole_files import write_whole
 
 PICTURE_SUFFIXES = {".svg": "svg", ".png": "png"}
 

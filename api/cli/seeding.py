@@ -13,31 +13,31 @@ import typer
 from rich import box
 from rich.console import Console
 
-from api.cli.outputs import check_targets
-from api.cli.progress import LinesOverBar
-from api.cli.tables import named_table
-from api.cli.times import TIME_WORD, paths_by_time, suns_of
-from api.matrices import ZoomRange
-from api.seed.drawing import check_seeded_format
-from api.seed.local_pool import LocalPool, Runner
-from api.seed.messages import Drawn
-from api.seed.planning import PlannedRun, SeedRequest, plan_run
-from api.seed.publishing import check_output
-from api.seed.running import TaskEnd
-from api.seed.seeding import Seeded, draw_and_publish, look_for_lost_shards
-from api.seed.storage import ShardStore, store_at
-from api.seed.task_table import TaskTable
-from api.workers.block_tiles import BLOCK_TILES
-from api.workers.jobs import RequestedSettings
-from selector.formatting import format_duration
-from terrain.cores import usable_cores
-from terrain.errors import InputError
-from terrain.level.algorithm_names import served_algorithms
-from terrain.level.level import parse_algorithm, parse_sun
-from terrain.level.level_source import LevelSource
+from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.progress import LinesOverBar
+from skugga.api.cli.tables import named_table
+from skugga.api.cli.times import TIME_WORD, paths_by_time, suns_of
+from skugga.api.matrices import ZoomRange
+from skugga.api.seed.drawing import check_seeded_format
+from skugga.api.seed.local_pool import LocalPool, Runner
+from skugga.api.seed.messages import Drawn
+from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
+from skugga.api.seed.publishing import check_output
+from skugga.api.seed.running import TaskEnd
+from skugga.api.seed.seeding import Seeded, draw_and_publish, look_for_lost_shards
+from skugga.api.seed.storage import ShardStore, store_at
+from skugga.api.seed.task_table import TaskTable
+from skugga.api.workers.block_tiles import BLOCK_TILES
+from skugga.api.workers.jobs import RequestedSettings
+from skugga.selector.formatting import format_duration
+from skugga.terrain.cores import usable_cores
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.algorithm_names import served_algorithms
+from skugga.terrain.level.level import parse_algorithm, parse_sun
+from skugga.terrain.level.level_source import LevelSource
 
 if TYPE_CHECKING:
-    from api.seed.dask_cluster import DaskCluster
+    from skugga.api.seed.dask_cluster import DaskCluster
 
 TABLE = "tasks.sqlite"
 LOG = "log.jsonl"
@@ -122,7 +122,7 @@ class _Workers:
         if self._scheduler is None:
             self._warm = LocalPool(self._count)
         else:
-            from api.seed.dask_cluster import DaskCluster
+            from skugga.api.seed.dask_cluster import DaskCluster
 
             self._warm = DaskCluster(self._scheduler)
 

@@ -6,21 +6,21 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from api.cli.outputs import check_targets
-from api.cli.times import paths_by_time
-from api.cli.warnings import say_own_sun, say_reach_beside, say_warnings, say_written
-from api.raster_file import RasterCells
-from api.shade import Bounds, raster_view, write_shade
-from api.shade_layers import SHADE_LAYERS
-from api.stac_item import read_stac_item
-from terrain.compiling.ahead import MAPS_OF_CASTERS, MASKS, PICTURES
-from terrain.compiling.hooks import need
-from terrain.errors import InputError
-from terrain.gbuffer.covered_nodes import is_bare
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.times import paths_by_time
+from skugga.api.cli.warnings import say_own_sun, say_reach_beside, say_warnings, say_written
+from skugga.api.raster_file import RasterCells
+from skugga.api.shade import Bounds, raster_view, write_shade
+from skugga.api.shade_layers import SHADE_LAYERS
+from skugga.api.stac_item import read_stac_item
+from skugga.terrain.compiling.ahead import MAPS_OF_CASTERS, MASKS, PICTURES
+from skugga.terrain.compiling.hooks import need
+from skugga.terrain.errors import InputError
+from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 
 SUFFIXES = ".tif", ".tiff"
 

@@ -7,21 +7,21 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from api.cli.warnings import say_own_sun, say_warnings
-from api.device_calibration import calibration_for
-from api.picture_cost import check_cost, time_limit_ms
-from selector.select import plan_of_view
-from shadows.passes import PassLayer
-from shadows.render import Frame, render_frame
-from terrain.compiling.ahead import MAPS_OF_CASTERS, PICTURES, VIEWS
-from terrain.compiling.hooks import need
-from terrain.errors import InputError
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.level.level import LoadedLevel, load_level
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.api.cli.warnings import say_own_sun, say_warnings
+from skugga.api.device_calibration import calibration_for
+from skugga.api.picture_cost import check_cost, time_limit_ms
+from skugga.selector.select import plan_of_view
+from skugga.shadows.passes import PassLayer
+from skugga.shadows.render import Frame, render_frame
+from skugga.terrain.compiling.ahead import MAPS_OF_CASTERS, PICTURES, VIEWS
+from skugga.terrain.compiling.hooks import need
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import LoadedLevel, load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 
 MOST_SECONDS = 1e9
 """Of a level's clock, either way, as in level files."""
@@ -101,7 +101,7 @@ def check_seconds(seconds: float | None) -> None:
 
 def statistics(scene: Scene, frame: Frame) -> dict[str, Any]:
     """What ``--stats`` writes: plan, passes with milliseconds, caster reach, sun, view and device."""
-    from terrain.gl import device as gl
+    from skugga.terrain.gl import device as gl
 
     used_gl = gl.is_open()
     return {

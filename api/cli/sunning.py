@@ -6,22 +6,22 @@ from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 
-from api.cli.outputs import check_targets
-from api.cli.shading import SUFFIXES
-from api.cli.times import duration_of
-from api.cli.warnings import say_reach_beside, say_warnings, say_written
-from api.shade import Bounds, raster_view
-from api.sun_hours import write_sun_hours
-from api.sun_quantities import QUANTITIES, QUANTITY_NOTES
-from shadows.sun_hours.sun_hours import SunRules
-from terrain.compiling.ahead import SUN_HOURS
-from terrain.compiling.hooks import need
-from terrain.errors import InputError
-from terrain.geo.clock import clock_named, date_of
-from terrain.geo.daily_windows import readings_of, windows_asked
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
-from terrain.scene import build_scene
+from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.shading import SUFFIXES
+from skugga.api.cli.times import duration_of
+from skugga.api.cli.warnings import say_reach_beside, say_warnings, say_written
+from skugga.api.shade import Bounds, raster_view
+from skugga.api.sun_hours import write_sun_hours
+from skugga.api.sun_quantities import QUANTITIES, QUANTITY_NOTES
+from skugga.shadows.sun_hours.sun_hours import SunRules
+from skugga.terrain.compiling.ahead import SUN_HOURS
+from skugga.terrain.compiling.hooks import need
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.clock import clock_named, date_of
+from skugga.terrain.geo.daily_windows import readings_of, windows_asked
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.scene import build_scene
 
 
 def write_sun_level(

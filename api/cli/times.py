@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from terrain.errors import MISSING_VALUE, InputError
-from terrain.level.durations import DURATION_WORDS, parse_duration
-from terrain.level.level import parse_sun
-from terrain.level.parts import SunSpec
+from skugga.terrain.errors import MISSING_VALUE, InputError
+from skugga.terrain.level.durations import DURATION_WORDS, parse_duration
+from skugga.terrain.level.level import parse_sun
+from skugga.terrain.level.parts import SunSpec
 
 MOST_TIMES = 10_000
 

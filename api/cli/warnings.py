@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from terrain.errors import printable
-from terrain.scene import Scene
+from skugga.terrain.errors import printable
+from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
-    from api.shade import RasterView
+    from skugga.api.shade import RasterView
 
 
 def say_warnings(scene: Scene, with_objects: bool = True) -> None:
@@ -25,7 +25,7 @@ def say_warnings(scene: Scene, with_objects: bool = True) -> None:
 
 def say_reach_beside(scene: Scene, raster: RasterView) -> None:
     """Print a warning of a raster that reaches beyond the level, where its cells are empty."""
-    from api.shade import reach_beside
+    from skugga.api.shade import reach_beside
 
     if (text := reach_beside(scene, raster)) is not None:
         typer.echo(printable(f"skugga: warning: {text}"), err=True)
@@ -37,7 +37,7 @@ def say_own_sun(scene: Scene) -> None:
     It is printed on a terminal, and everywhere if the level names no sun, either.
     """
     if scene.sun_is_default or sys.stderr.isatty():
-        from api.report.plan_text import format_sun
+        from skugga.api.report.plan_text import format_sun
 
         said = f"{scene.loaded.name} is drawn with its own light, {format_sun(scene.sun)}; --time says another"
         typer.echo(printable(f"skugga: {said}"), err=True)

@@ -13,13 +13,13 @@ from fastapi import Request, Response
 from fastapi.responses import JSONResponse, StreamingResponse
 from pydantic import BaseModel, Field
 
-from api.animations.animation import Animation, AnimationStatus
-from api.animations.animations import Animations
-from api.animations.film_file import Reading
-from api.errors import NotServedError, UnfinishedError
-from api.http.answers import is_fresh, tag_of
-from api.http.problems import Problem, problem_response, public_problem
-from api.settings import Settings
+from skugga.api.animations.animation import Animation, AnimationStatus
+from skugga.api.animations.animations import Animations
+from skugga.api.animations.film_file import Reading
+from skugga.api.errors import NotServedError, UnfinishedError
+from skugga.api.http.answers import is_fresh, tag_of
+from skugga.api.http.problems import Problem, problem_response, public_problem
+from skugga.api.settings import Settings
 
 FILM_MEDIA: dict[str, str] = {"webp": "image/webp", "mp4": "video/mp4"}
 

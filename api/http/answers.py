@@ -11,7 +11,7 @@ from importlib.metadata import version
 from fastapi import Request, Response
 from fastapi.responses import JSONResponse
 
-from api.workers.jobs import BlockTiles, Snapshot
+from skugga.api.workers.jobs import BlockTiles, Snapshot
 
 VERSION = version("skugga")
 

@@ -10,10 +10,10 @@ from fastapi import FastAPI, Request, Response
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.animations.animations import Animations
-from api.animations.drawing import frames_drawn_by, write_animation
-from api.errors import TooLargeError
-from api.http import (
+from skugga.api.animations.animations import Animations
+from skugga.api.animations.drawing import frames_drawn_by, write_animation
+from skugga.api.errors import TooLargeError
+from skugga.api.http import (
     problems,
     routes_animations,
     routes_archives,
@@ -30,29 +30,29 @@ from api.http import (
     routes_wms,
     routes_wmts,
 )
-from api.http.answers import EXPOSED_HEADERS, VERSION
-from api.http.bearer_token import BearerToken
-from api.http.cross_origin import CrossOrigin
-from api.http.encoded_tiles import EncodedTiles
-from api.http.first_blocks import first_blocks
-from api.http.metrics import ServiceMetrics
-from api.http.new_suns import NewSuns
-from api.http.openapi import install_openapi
-from api.http.problem_handlers import install_problem_handlers
-from api.http.sent_before import SentBefore
-from api.http.served_archives import ServedArchives
-from api.http.served_levels import ServedLevels
-from api.http.service import ClientGoneError, Service
-from api.http.watching import CLIENT_GONE, KEPT, Watched
-from api.settings import Settings
-from api.workers.idle_calibration import measured_profile
-from api.workers.idle_probes import Probe, probed_level
-from api.workers.jobs import LevelKey
-from api.workers.pool import Pool
-from api.workers.spawned import Spawned, WorkerTarget
-from api.workers.worker_main import worker_main
-from selector.cost.device_profile import DeviceProfile
-from terrain.level.level_source import LevelSource
+from skugga.api.http.answers import EXPOSED_HEADERS, VERSION
+from skugga.api.http.bearer_token import BearerToken
+from skugga.api.http.cross_origin import CrossOrigin
+from skugga.api.http.encoded_tiles import EncodedTiles
+from skugga.api.http.first_blocks import first_blocks
+from skugga.api.http.metrics import ServiceMetrics
+from skugga.api.http.new_suns import NewSuns
+from skugga.api.http.openapi import install_openapi
+from skugga.api.http.problem_handlers import install_problem_handlers
+from skugga.api.http.sent_before import SentBefore
+from skugga.api.http.served_archives import ServedArchives
+from skugga.api.http.served_levels import ServedLevels
+from skugga.api.http.service import ClientGoneError, Service
+from skugga.api.http.watching import CLIENT_GONE, KEPT, Watched
+from skugga.api.settings import Settings
+from skugga.api.workers.idle_calibration import measured_profile
+from skugga.api.workers.idle_probes import Probe, probed_level
+from skugga.api.workers.jobs import LevelKey
+from skugga.api.workers.pool import Pool
+from skugga.api.workers.spawned import Spawned, WorkerTarget
+from skugga.api.workers.worker_main import worker_main
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.terrain.level.level_source import LevelSource
 
 
 def create_app(

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pmtiles.tile import Compression, HeaderDict, TileType, deserialize_header, tileid_to_zxy, zxy_to_tileid
 
-from api.archive_format import ARCHIVED_MEDIA_TYPES, HEADER_BYTES, TILE_FORMATS
-from api.errors import ArchiveError
-from api.file_stamps import Stamp, file_stamps
-from terrain.cache import MIB, Cache, Missing
-from terrain.errors import Fault
+from skugga.api.archive_format import ARCHIVED_MEDIA_TYPES, HEADER_BYTES, TILE_FORMATS
+from skugga.api.errors import ArchiveError
+from skugga.api.file_stamps import Stamp, file_stamps
+from skugga.terrain.cache import MIB, Cache, Missing
+from skugga.terrain.errors import Fault
 
 DIRECTORY_DEPTH = 3
 """Directories under one another, the root among them: readers go no deeper."""
@@ -54,7 +54,7 @@ class _Directory:
         return 4 * self.ids.nbytes
 
 
-_directories: Cache[_Directory] = Cache("api.http.archive_directories", "process", 64 * MIB)
+_directories: Cache[_Directory] = Cache("skugga.api.http.archive_directories", "process", 64 * MIB)
 
 
 class ArchiveFile:

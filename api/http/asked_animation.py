@@ -8,22 +8,22 @@ from typing import Annotated, Any
 
 from pydantic import Field, create_model
 
-from api.animations.film_order import FilmFormat, FilmOrder
-from api.film_span import USUAL_FPS, film_span
-from api.http.cameras import FURTHEST_UP_M, POSITION_WORDS
-from api.http.parameters import served_settings, style_named
-from api.http.served_levels import ServedLevel
-from api.settings import Settings
-from api.workers.jobs import PictureRequest
-from selector.film_request import ALONG_PATH, FilmSpan
-from terrain.errors import Fault, InputError
-from terrain.geo.sun_path import as_utc, check_times
-from terrain.level.camera_file import CameraPathSpec
-from terrain.level.level import Shadows, parse_sun
-from terrain.level.model import Model
-from terrain.level.parts import SlopeExaggeration, SunSpec
-from terrain.level.setting import settings_of
-from terrain.scene import MAX_PERSPECTIVE_PX
+from skugga.api.animations.film_order import FilmFormat, FilmOrder
+from skugga.api.film_span import USUAL_FPS, film_span
+from skugga.api.http.cameras import FURTHEST_UP_M, POSITION_WORDS
+from skugga.api.http.parameters import served_settings, style_named
+from skugga.api.http.served_levels import ServedLevel
+from skugga.api.settings import Settings
+from skugga.api.workers.jobs import PictureRequest
+from skugga.selector.film_request import ALONG_PATH, FilmSpan
+from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.geo.sun_path import as_utc, check_times
+from skugga.terrain.level.camera_file import CameraPathSpec
+from skugga.terrain.level.level import Shadows, parse_sun
+from skugga.terrain.level.model import Model
+from skugga.terrain.level.parts import SlopeExaggeration, SunSpec
+from skugga.terrain.level.setting import settings_of
+from skugga.terrain.scene import MAX_PERSPECTIVE_PX
 
 MOST_TEXT = 60
 """Characters of a time or of a length of time."""

@@ -8,7 +8,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.http.problems import problem_of, problem_response
+from skugga.api.http.problems import problem_of, problem_response
 
 OPEN_PATHS = {"/healthz", "/readyz"}
 """What needs no token: whoever watches the service's health has none."""

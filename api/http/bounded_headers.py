@@ -6,7 +6,7 @@ from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from api.http.problems import Problem, problem_of, problem_response
+from skugga.api.http.problems import Problem, problem_of, problem_response
 
 MAX_HEAD_BYTES = 64 * 1024
 """Of a request's line and headers, about: what comes with the last of them is not counted."""

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 from fastapi import Query
 from pydantic import ValidationError
 
-from api.http.numbers import PLAIN_DECIMAL, decimal_in
-from terrain.errors import MISSING_VALUE, InputError
-from terrain.level.parts import PerspectiveSpec
+from skugga.api.http.numbers import PLAIN_DECIMAL, decimal_in
+from skugga.terrain.errors import MISSING_VALUE, InputError
+from skugga.terrain.level.parts import PerspectiveSpec
 
 FURTHEST_UP_M = 100_000.0
 """Of an eye or a target above the ground: as high as anybody sees relief from."""

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from fastapi import Path
 
-from api.http.numbers import PLAIN_WHOLE
-from api.http.problems import MEDIA_TYPE, Problem, problem_kinds
+from skugga.api.http.numbers import PLAIN_WHOLE
+from skugga.api.http.problems import MEDIA_TYPE, Problem, problem_kinds
 
 Answers = dict[int | str, dict[str, Any]]
 """Of statuses, as routes take them for ``responses``."""

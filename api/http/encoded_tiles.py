@@ -9,9 +9,9 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Scope
 
-from api.http.answers import is_fresh
-from api.http.moments import TIME_HEADER, is_of_now
-from terrain.cache import MIB, Cache, Missing
+from skugga.api.http.answers import is_fresh
+from skugga.api.http.moments import TIME_HEADER, is_of_now
+from skugga.terrain.cache import MIB, Cache, Missing
 
 DrawnBy = tuple[str | None, ...]
 """What the tiles of a level hang on besides their addresses."""
@@ -54,9 +54,9 @@ class EncodedTiles:
 
     def __init__(self, limit_bytes: int) -> None:
         self._kept: Cache[EncodedTile] = Cache(
-            "api.http.encoded_tiles", "process", limit_bytes, lambda tile: len(tile.body) + OVERHEAD_BYTES
+            "skugga.api.http.encoded_tiles", "process", limit_bytes, lambda tile: len(tile.body) + OVERHEAD_BYTES
         )
-        self._sent: Cache[_Sent] = Cache("api.http.tile_addresses", "process", 16 * MIB, lambda _: OVERHEAD_BYTES)
+        self._sent: Cache[_Sent] = Cache("skugga.api.http.tile_addresses", "process", 16 * MIB, lambda _: OVERHEAD_BYTES)
         self.hits, self.misses = 0, 0
 
     @property

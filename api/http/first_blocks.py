@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel, ServedLevels
-from api.matrices import matrix_set_of
-from api.workers.block_tiles import place_in_block
-from api.workers.jobs import BlockJob
+from skugga.api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel, ServedLevels
+from skugga.api.matrices import matrix_set_of
+from skugga.api.workers.block_tiles import place_in_block
+from skugga.api.workers.jobs import BlockJob
 
 
 def first_blocks(levels: ServedLevels) -> tuple[BlockJob, ...]:

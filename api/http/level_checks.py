@@ -12,9 +12,9 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from api.errors import ExhaustedError
-from api.exhaustion import exhausted_error
-from terrain.errors import SkuggaError
+from skugga.api.errors import ExhaustedError
+from skugga.api.exhaustion import exhausted_error
+from skugga.terrain.errors import SkuggaError
 
 LookedAt = TypeVar("LookedAt")
 

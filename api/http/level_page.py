@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from html import escape
 from urllib.parse import quote
 
-from api.http.ogc_requests import layer_name
-from api.http.parameters import TileQuery
-from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
-from api.http.wmts_capabilities import hangs_on_time
-from api.layers import LAYERS, MAP_LAYERS
+from skugga.api.http.ogc_requests import layer_name
+from skugga.api.http.parameters import TileQuery
+from skugga.api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
+from skugga.api.http.wmts_capabilities import hangs_on_time
+from skugga.api.layers import LAYERS, MAP_LAYERS
 
 _PAGE = """<!doctype html>
 <html lang="en">

@@ -8,13 +8,13 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
-from api.http.numbers import decimal_in
-from api.http.served_levels import ServedLevel
-from terrain.cache import MIB, cached
-from terrain.errors import InputError, UnsupportedError
-from terrain.geo.axes import check_axes
-from terrain.geo.world import LONGITUDE_LATITUDE, transformer
-from terrain.scene import MAX_PERSPECTIVE_PX
+from skugga.api.http.numbers import decimal_in
+from skugga.api.http.served_levels import ServedLevel
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.errors import InputError, UnsupportedError
+from skugga.terrain.geo.axes import check_axes
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
+from skugga.terrain.scene import MAX_PERSPECTIVE_PX
 
 MapBounds = tuple[float, float, float, float]
 """West, south, east, north in units of a CRS."""

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 from fastapi import Request, Response
 
-from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
-from api.http.map_extents import MapBounds
-from api.http.moments import time_headers
-from api.http.parameters import TileQuery, check_pixels
-from api.http.served_levels import ServedLevel
-from api.http.service import Service
-from api.layers import LAYERS, MAP_MEDIA_TYPES, MapFormat
-from api.workers.block_tiles import check_format
-from api.workers.jobs import MapJob, PictureRequest, Snapshot
-from terrain.errors import InputError
+from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
+from skugga.api.http.map_extents import MapBounds
+from skugga.api.http.moments import time_headers
+from skugga.api.http.parameters import TileQuery, check_pixels
+from skugga.api.http.served_levels import ServedLevel
+from skugga.api.http.service import Service
+from skugga.api.layers import LAYERS, MAP_MEDIA_TYPES, MapFormat
+from skugga.api.workers.block_tiles import check_format
+from skugga.api.workers.jobs import MapJob, PictureRequest, Snapshot
+from skugga.terrain.errors import InputError
 
 SAME_DEGREES = {"OGC:CRS84": "EPSG:4326"}
 """CRSs that differ in the order of axes alone, which extents have no longer: then their maps share the grid of tiles."""

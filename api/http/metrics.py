@@ -11,13 +11,13 @@ from prometheus_client.exposition import generate_latest
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-from api.workers.jobs import BlockTiles, Snapshot
-from api.workers.process_life import open_descriptors, resident_bytes
+from skugga.api.workers.jobs import BlockTiles, Snapshot
+from skugga.api.workers.process_life import open_descriptors, resident_bytes
 
 if TYPE_CHECKING:
-    from api.animations.animations import Animations
-    from api.http.encoded_tiles import EncodedTiles
-    from api.workers.pool import Pool
+    from skugga.api.animations.animations import Animations
+    from skugga.api.http.encoded_tiles import EncodedTiles
+    from skugga.api.workers.pool import Pool
 
 MEDIA_TYPE_OF_METRICS = "text/plain; version=0.0.4; charset=utf-8"
 

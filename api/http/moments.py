@@ -11,11 +11,11 @@ from fastapi import Request
 from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
-from api.http.answers import GIVEN_SUN_S
-from terrain.errors import InputError
-from terrain.geo.sun_path import as_utc, check_date, check_times
-from terrain.level.level import parse_sun
-from terrain.level.parts import TIME_WORDS, SunSpec, time_of
+from skugga.api.http.answers import GIVEN_SUN_S
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.sun_path import as_utc, check_date, check_times
+from skugga.terrain.level.level import parse_sun
+from skugga.terrain.level.parts import TIME_WORDS, SunSpec, time_of
 
 CURRENT = "current"
 """The word for now."""

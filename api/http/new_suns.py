@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 
-from api.errors import TooManySunsError
-from terrain.cache import MIB, Cache, Missing
+from skugga.api.errors import TooManySunsError
+from skugga.terrain.cache import MIB, Cache, Missing
 
 REMEMBERED = 256
 """Suns that a client's are compared with: the tiles of one picture have one."""
@@ -30,7 +30,7 @@ class NewSuns:
 
     def __init__(self, a_minute: int, clock: Callable[[], float] = time.monotonic) -> None:
         self._a_minute, self._clock = a_minute, clock
-        self._clients: Cache[_Client] = Cache("api.http.new_suns", "process", 32 * MIB, lambda _: CLIENT_BYTES)
+        self._clients: Cache[_Client] = Cache("skugga.api.http.new_suns", "process", 32 * MIB, lambda _: CLIENT_BYTES)
 
     def take(self, address: str, sun: Hashable) -> None:
         """Count a sun that a client asks for, if it is new. Raises ``TooManySunsError``."""

@@ -8,21 +8,21 @@ from typing import Literal
 
 from fastapi import Request, Response
 
-from api.errors import NotServedError
-from api.http.moments import asked_sun
-from api.http.numbers import decimal_in
-from api.http.ogc_times import date_asked, default_date, instant_asked
-from api.http.parameters import OWN_STYLE, TILE_LAYERS, TileQuery, style_named
-from api.http.problems import public_error
-from api.http.served_levels import ServedLevel
-from api.http.service import service_of
-from api.layers import MAP_MEDIA_TYPES, MapFormat
-from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery
-from api.workers.block_tiles import map_formats_of
-from api.workers.jobs import PictureRequest
-from terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError
-from terrain.level.parts import SunSpec
-from terrain.style import STYLES
+from skugga.api.errors import NotServedError
+from skugga.api.http.moments import asked_sun
+from skugga.api.http.numbers import decimal_in
+from skugga.api.http.ogc_times import date_asked, default_date, instant_asked
+from skugga.api.http.parameters import OWN_STYLE, TILE_LAYERS, TileQuery, style_named
+from skugga.api.http.problems import public_error
+from skugga.api.http.served_levels import ServedLevel
+from skugga.api.http.service import service_of
+from skugga.api.layers import MAP_MEDIA_TYPES, MapFormat
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery
+from skugga.api.workers.block_tiles import map_formats_of
+from skugga.api.workers.jobs import PictureRequest
+from skugga.terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.style import STYLES
 
 GIS_FORMATS: tuple[MapFormat, ...] = ("png", "webp", "jpg", "tif")
 """Formats that map clients know, the first one of a layer the one to take."""
@@ -142,8 +142,8 @@ def this_year() -> int:
 def exception_answer(
     request: Request, error: SkuggaError, codes: dict[str, str], written: Callable[[str, str | None, str], bytes]
 ) -> Response:
-    """An error in a service's own XML, with the status that ``api.errors`` has for it. ``codes`` are the service's codes by the
-    names of parameters.
+    """An error in a service's own XML, with the status that ``skugga.api.errors`` has for it. ``codes`` are the service's codes by
+    the names of parameters.
     """
     outcome, text = public_error(request, error)
     headers = {"Cache-Control": "no-store"}

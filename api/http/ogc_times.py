@@ -6,12 +6,12 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 
-from api.http.moments import CURRENT, OWN_TIME
-from api.http.served_levels import ServedLevel
-from api.sun_hours_layer import SUN_HOURS_LAYER
-from terrain.errors import InputError
-from terrain.geo.sun_path import as_utc, check_date, check_times
-from terrain.level.level import parse_sun
+from skugga.api.http.moments import CURRENT, OWN_TIME
+from skugga.api.http.served_levels import ServedLevel
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.sun_path import as_utc, check_date, check_times
+from skugga.terrain.level.level import parse_sun
 
 OFFERED_STEP = timedelta(minutes=10)
 """Between the times that clients are told of. Any other time is served as well; ``current`` is, but advertised
@@ -29,7 +29,7 @@ def instant_asked(text: str | None, lon_deg: float) -> str | None:
     """The instant (ISO 8601 with an offset) that a TIME asks for; ``None`` for the level's own sun; ``current`` stays.
 
     Without an offset it is in UTC; a date is its noon by the sun at a longitude; of an interval its begin. What is none of these is
-    left as it is, for ``terrain.level.level.parse_sun`` to refuse.
+    left as it is, for ``skugga.terrain.level.level.parse_sun`` to refuse.
     """
     if text is None or text.strip().lower() in ("", OWN_TIME):
         return None

@@ -8,13 +8,13 @@ from urllib.parse import quote, urlencode
 from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from api.http.archive_file import ArchiveFile
-from api.http.bearer_token import OPEN_PATHS
-from api.http.documented import ANYWHERE, EXAMPLE_QUERY, problem_docs, with_bounds
-from api.http.problems import Problem
-from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
-from api.http.service import Service
-from api.matrices import matrix_set_of
+from skugga.api.http.archive_file import ArchiveFile
+from skugga.api.http.bearer_token import OPEN_PATHS
+from skugga.api.http.documented import ANYWHERE, EXAMPLE_QUERY, problem_docs, with_bounds
+from skugga.api.http.problems import Problem
+from skugga.api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
+from skugga.api.http.service import Service
+from skugga.api.matrices import matrix_set_of
 
 DIGITS = 5
 """Of degrees in examples."""
@@ -57,7 +57,7 @@ def _completed(document: dict[str, Any], service: Service) -> dict[str, Any]:
 
 def _plan_schemas() -> dict[str, Any]:
     """The schemas of a plan and of all that it is made of, by name: those of a route that answers with one."""
-    from shadows.plan import Plan
+    from skugga.shadows.plan import Plan
 
     router = APIRouter()
     router.add_api_route("/plan", lambda: None, response_model=Plan)

@@ -11,20 +11,20 @@ from typing import Annotated, Any, cast, get_args
 from fastapi import Depends, Query, Request
 from pydantic import BeforeValidator
 
-from api.http.moments import PLAIN_DATE, asked_sun
-from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD
-from api.http.service import service_of
-from api.layers import BETWEEN_LAYERS, LAYERS, MAP_LAYERS, PICTURE_LAYERS, ViewLayer
-from api.shadow_parameters import takes_settings
-from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery, SunQuantity
-from api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
-from terrain.errors import MISSING_VALUE, Fault, InputError
-from terrain.level.algorithm_names import served_algorithms
-from terrain.level.level import parse_algorithm
-from terrain.level.parts import StyleName, SunSpec
-from terrain.level.setting import Setting
-from terrain.scene import MAX_PERSPECTIVE_PX
-from terrain.style import STYLES
+from skugga.api.http.moments import PLAIN_DATE, asked_sun
+from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD
+from skugga.api.http.service import service_of
+from skugga.api.layers import BETWEEN_LAYERS, LAYERS, MAP_LAYERS, PICTURE_LAYERS, ViewLayer
+from skugga.api.shadow_parameters import takes_settings
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery, SunQuantity
+from skugga.api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
+from skugga.terrain.errors import MISSING_VALUE, Fault, InputError
+from skugga.terrain.level.algorithm_names import served_algorithms
+from skugga.terrain.level.level import parse_algorithm
+from skugga.terrain.level.parts import StyleName, SunSpec
+from skugga.terrain.level.setting import Setting
+from skugga.terrain.scene import MAX_PERSPECTIVE_PX
+from skugga.terrain.style import STYLES
 
 
 @dataclass(frozen=True)

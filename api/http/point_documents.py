@@ -11,7 +11,7 @@ Rows = list[tuple[str, str]]
 
 
 def report_rows(report: dict[str, Any]) -> Rows:
-    """The facts of a report (as ``api.point.report.PointReport`` is in JSON) in words, each with its name."""
+    """The facts of a report (as ``skugga.api.point.report.PointReport`` is in JSON) in words, each with its name."""
     rows = [
         ("Level", str(report["level"])),
         ("Place", f"{report['lat']}, {report['lon']}"),

@@ -8,11 +8,11 @@ from fastapi.responses import JSONResponse, Response
 from starlette.exceptions import HTTPException
 from starlette.routing import Match, Mount
 
-from api.http.answers import wants_page
-from api.http.not_found import not_found_page
-from api.http.problems import domain_problem, problem_of, problem_response
-from terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError, printable
-from terrain.level.level_errors import UNKNOWN_KEY
+from skugga.api.http.answers import wants_page
+from skugga.api.http.not_found import not_found_page
+from skugga.api.http.problems import domain_problem, problem_of, problem_response
+from skugga.terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError, printable
+from skugga.terrain.level.level_errors import UNKNOWN_KEY
 
 
 def install_problem_handlers(app: FastAPI) -> None:

@@ -12,8 +12,8 @@ from fastapi import Request
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict
 
-from api.errors import OUTCOMES, Outcome, outcome_of
-from terrain.errors import SkuggaError
+from skugga.api.errors import OUTCOMES, Outcome, outcome_of
+from skugga.terrain.errors import SkuggaError
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -64,8 +64,8 @@ class ProblemKind:
 
 
 def problem_kinds() -> list[ProblemKind]:
-    """All kinds of problems: of the table of ``api.errors``, as far as HTTP answers can have them, and of HTTP itself. Errors that
-    clients cannot tell apart are one.
+    """All kinds of problems: of the table of ``skugga.api.errors``, as far as HTTP answers can have them, and of HTTP itself.
+    Errors that clients cannot tell apart are one.
     """
     kinds: dict[tuple[int, str], ProblemKind] = {}
     for error, outcome in OUTCOMES.items():
@@ -94,7 +94,9 @@ def problem_response(problem: Problem, headers: dict[str, str] | None = None) ->
 
 
 def public_error(request: Request, error: SkuggaError) -> tuple[Outcome, str]:
-    """What a domain error means by the table of ``api.errors``, and what clients read of it; what they may not goes to the log."""
+    """What a domain error means by the table of ``skugga.api.errors``, and what clients read of it; what they may not goes to the
+    log.
+    """
     outcome = outcome_of(error)
     if outcome.public is not None:
         log.error("%s %s: %s: %s", request.method, request.url.path, outcome.code, error)

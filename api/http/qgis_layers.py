@@ -5,15 +5,15 @@ from __future__ import annotations
 from urllib.parse import quote, urlencode
 from xml.etree.ElementTree import Element, indent, tostring
 
-from api.http.ogc_requests import layer_name, layer_title
-from api.http.ogc_times import time_dimension
-from api.http.ogc_xml import add
-from api.http.parameters import OWN_STYLE
-from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
-from api.http.wmts_capabilities import TIME
-from api.matrices import matrix_set_of
-from api.sun_hours_layer import SUN_HOURS_LAYER
-from terrain.geo.grid import crs_of_tiles
+from skugga.api.http.ogc_requests import layer_name, layer_title
+from skugga.api.http.ogc_times import time_dimension
+from skugga.api.http.ogc_xml import add
+from skugga.api.http.parameters import OWN_STYLE
+from skugga.api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
+from skugga.api.http.wmts_capabilities import TIME
+from skugga.api.matrices import matrix_set_of
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.terrain.geo.grid import crs_of_tiles
 
 QGIS_LAYERS = ("color", "shadow", SUN_HOURS_LAYER)
 """Layers of the file; QGIS shows the first one at once."""

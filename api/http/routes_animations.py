@@ -6,15 +6,15 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Depends, Path, Request, Response
 
-from api.animations.animation import Animation
-from api.http.animation_states import FILM_MEDIA, AnimationState, film_answer, state_answer, state_of
-from api.http.answers import base_url
-from api.http.asked_animation import AskedAnimation, in_body, order_of
-from api.http.documented import WORK_ERRORS, Answers, LevelPath, file_docs, problem_docs
-from api.http.parameters import allow_only
-from api.http.service import Service, TheService
-from api.workers.jobs import FilmChecked, FilmCheckJob
-from terrain.errors import InputError
+from skugga.api.animations.animation import Animation
+from skugga.api.http.animation_states import FILM_MEDIA, AnimationState, film_answer, state_answer, state_of
+from skugga.api.http.answers import base_url
+from skugga.api.http.asked_animation import AskedAnimation, in_body, order_of
+from skugga.api.http.documented import WORK_ERRORS, Answers, LevelPath, file_docs, problem_docs
+from skugga.api.http.parameters import allow_only
+from skugga.api.http.service import Service, TheService
+from skugga.api.workers.jobs import FilmChecked, FilmCheckJob
+from skugga.terrain.errors import InputError
 
 router = APIRouter(tags=["animations"])
 

@@ -10,17 +10,17 @@ from urllib.parse import quote
 from fastapi import APIRouter, Depends, Path, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.archive_format import ARCHIVED_MEDIA_TYPES
-from api.errors import ArchiveError, NotServedError
-from api.http.answers import OWN_SUN_S, base_url, cache_headers, json_answer, tag_of
-from api.http.archive_file import ArchiveFile
-from api.http.documented import LEVEL_ERRORS, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
-from api.http.encoded_tiles import EncodedTile
-from api.http.parameters import allow_only
-from api.http.routes_levels import JSON_MEDIA, TILEJSON_ENCODINGS
-from api.http.served_archives import archive_facts
-from api.http.service import TheService
-from api.layers import LAYERS
+from skugga.api.archive_format import ARCHIVED_MEDIA_TYPES
+from skugga.api.errors import ArchiveError, NotServedError
+from skugga.api.http.answers import OWN_SUN_S, base_url, cache_headers, json_answer, tag_of
+from skugga.api.http.archive_file import ArchiveFile
+from skugga.api.http.documented import LEVEL_ERRORS, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
+from skugga.api.http.encoded_tiles import EncodedTile
+from skugga.api.http.parameters import allow_only
+from skugga.api.http.routes_levels import JSON_MEDIA, TILEJSON_ENCODINGS
+from skugga.api.http.served_archives import archive_facts
+from skugga.api.http.service import TheService
+from skugga.api.layers import LAYERS
 
 log = logging.getLogger("skugga")
 

@@ -9,11 +9,11 @@ from typing import Any
 from fastapi import APIRouter, Depends
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
-from api.errors import NotReadyError, UnhealthyError
-from api.http.documented import problem_docs
-from api.http.metrics import MEDIA_TYPE_OF_METRICS
-from api.http.parameters import allow_only
-from api.http.service import TheService
+from skugga.api.errors import NotReadyError, UnhealthyError
+from skugga.api.http.documented import problem_docs
+from skugga.api.http.metrics import MEDIA_TYPE_OF_METRICS
+from skugga.api.http.parameters import allow_only
+from skugga.api.http.service import TheService
 
 router = APIRouter(tags=["health"], dependencies=[Depends(allow_only())])
 

@@ -9,15 +9,15 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
-from api.http.answers import base_url, document_answer, json_answer
-from api.http.documented import LEVEL_ERRORS, LevelPath, file_docs, problem_docs
-from api.http.level_page import level_page, snippets
-from api.http.ogc_requests import this_year
-from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
-from api.http.qgis_layers import qgis_layers
-from api.http.served_levels import ServedLevel
-from api.http.service import Service, TheService
-from terrain.errors import UnsupportedError
+from skugga.api.http.answers import base_url, document_answer, json_answer
+from skugga.api.http.documented import LEVEL_ERRORS, LevelPath, file_docs, problem_docs
+from skugga.api.http.level_page import level_page, snippets
+from skugga.api.http.ogc_requests import this_year
+from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
+from skugga.api.http.qgis_layers import qgis_layers
+from skugga.api.http.served_levels import ServedLevel
+from skugga.api.http.service import Service, TheService
+from skugga.terrain.errors import UnsupportedError
 
 router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS), default_response_class=Response)
 

@@ -9,16 +9,16 @@ from urllib.parse import quote
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.color_scale import LEGEND_MEDIA_TYPES, LegendFormat
-from api.http.answers import GIVEN_SUN_S, base_url, cache_headers, is_fresh, json_answer, tag_of, wants_page
-from api.http.documented import LEVEL_ERRORS, LevelPath, MatrixSetPath, file_docs, for_example, problem_docs
-from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
-from api.http.routes_level_page import page_answer
-from api.http.served_levels import ServedLevel
-from api.http.service import TheService
-from api.layers import LAYERS, MapFormat, nodata_height_m
-from api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery
-from terrain.errors import InputError
+from skugga.api.color_scale import LEGEND_MEDIA_TYPES, LegendFormat
+from skugga.api.http.answers import GIVEN_SUN_S, base_url, cache_headers, is_fresh, json_answer, tag_of, wants_page
+from skugga.api.http.documented import LEVEL_ERRORS, LevelPath, MatrixSetPath, file_docs, for_example, problem_docs
+from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
+from skugga.api.http.routes_level_page import page_answer
+from skugga.api.http.served_levels import ServedLevel
+from skugga.api.http.service import TheService
+from skugga.api.layers import LAYERS, MapFormat, nodata_height_m
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery
+from skugga.terrain.errors import InputError
 
 TILEJSON_ENCODINGS = "mapbox", "terrarium"
 

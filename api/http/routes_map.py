@@ -7,16 +7,16 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.http.documented import LevelPath, for_example
-from api.http.map_extents import bounds_in, check_side, crs_code, crs_of_code, map_size, parse_bounds
-from api.http.maps import MapQuery, map_answer
-from api.http.numbers import PLAIN_WHOLE
-from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, map_query
-from api.http.routes_tiles import JPEG, PICTURE_DOCS
-from api.http.served_levels import ServedLevel
-from api.http.service import TheService
-from api.layers import MapFormat
-from terrain.errors import InputError
+from skugga.api.http.documented import LevelPath, for_example
+from skugga.api.http.map_extents import bounds_in, check_side, crs_code, crs_of_code, map_size, parse_bounds
+from skugga.api.http.maps import MapQuery, map_answer
+from skugga.api.http.numbers import PLAIN_WHOLE
+from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, map_query
+from skugga.api.http.routes_tiles import JPEG, PICTURE_DOCS
+from skugga.api.http.served_levels import ServedLevel
+from skugga.api.http.service import TheService
+from skugga.api.layers import MapFormat
+from skugga.terrain.errors import InputError
 
 router = APIRouter(tags=["maps"], responses=PICTURE_DOCS, default_response_class=Response)
 

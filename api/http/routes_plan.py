@@ -7,20 +7,20 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Depends, Query, Request, Response
 
-from api.errors import NotServedError
-from api.http.answers import json_answer
-from api.http.documented import PLAN_DOCS, WORK_ERRORS, Answers, LevelPath, problem_docs
-from api.http.moments import time_headers
-from api.http.numbers import PLAIN_WHOLE
-from api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
-from api.http.sent_descriptor import SentDescriptor
-from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
-from api.http.service import TheService
-from api.matrices import matrix_set_of
-from api.workers.jobs import DescribedPlanJob, DescriptorAnswer, DescriptorJob, PictureRequest, PlanAnswer, PlanJob, Tiles
-from terrain.errors import InputError
-from terrain.facts.descriptor import Descriptor
-from terrain.level.parts import SunSpec
+from skugga.api.errors import NotServedError
+from skugga.api.http.answers import json_answer
+from skugga.api.http.documented import PLAN_DOCS, WORK_ERRORS, Answers, LevelPath, problem_docs
+from skugga.api.http.moments import time_headers
+from skugga.api.http.numbers import PLAIN_WHOLE
+from skugga.api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
+from skugga.api.http.sent_descriptor import SentDescriptor
+from skugga.api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevel
+from skugga.api.http.service import TheService
+from skugga.api.matrices import matrix_set_of
+from skugga.api.workers.jobs import DescribedPlanJob, DescriptorAnswer, DescriptorJob, PictureRequest, PlanAnswer, PlanJob, Tiles
+from skugga.terrain.errors import InputError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.parts import SunSpec
 
 router = APIRouter(tags=["plans"], responses=problem_docs(*WORK_ERRORS))
 

@@ -10,19 +10,19 @@ from fastapi import APIRouter, Body, Depends, Path, Query, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from api.http.answers import GIVEN_SUN_S, cache_headers, is_fresh, tag_of
-from api.http.documented import WORK_ERRORS, LevelPath, file_docs, problem_docs
-from api.http.moments import PLAIN_DATE, PLAIN_TIME, asked_sun, fresh_for, quarter_hour, time_headers
-from api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE
-from api.http.parameters import TimeQuery, allow_only
-from api.http.service import Service, TheService
-from api.point.horizon_formats import HORIZON_FORMATS
-from api.point.values import MAX_POINTS, PointQuery, PointReport, ReportedMoment, TrackPoint
-from api.workers.jobs import PictureRequest, PointAnswer, PointJob, PointProduct, PointsJob
-from shadows.point.terms import HIGHEST_EYE_M
-from terrain.errors import InputError
-from terrain.geo.sun_path import as_utc, check_times
-from terrain.level.parts import SunSpec
+from skugga.api.http.answers import GIVEN_SUN_S, cache_headers, is_fresh, tag_of
+from skugga.api.http.documented import WORK_ERRORS, LevelPath, file_docs, problem_docs
+from skugga.api.http.moments import PLAIN_DATE, PLAIN_TIME, asked_sun, fresh_for, quarter_hour, time_headers
+from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE
+from skugga.api.http.parameters import TimeQuery, allow_only
+from skugga.api.http.service import Service, TheService
+from skugga.api.point.horizon_formats import HORIZON_FORMATS
+from skugga.api.point.values import MAX_POINTS, PointQuery, PointReport, ReportedMoment, TrackPoint
+from skugga.api.workers.jobs import PictureRequest, PointAnswer, PointJob, PointProduct, PointsJob
+from skugga.shadows.point.terms import HIGHEST_EYE_M
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.sun_path import as_utc, check_times
+from skugga.terrain.level.parts import SunSpec
 
 router = APIRouter(tags=["points"], responses=problem_docs(*WORK_ERRORS))
 

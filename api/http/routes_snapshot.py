@@ -6,19 +6,27 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
-from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
-from api.http.cameras import CAMERA_PARAMETERS, camera_query
-from api.http.documented import LevelPath, file_docs, for_example
-from api.http.moments import time_headers
-from api.http.numbers import PLAIN_DECIMAL
-from api.http.parameters import PICTURE_PARAMETERS, LayerQuery, ViewQuery, allow_only, check_pixels, parse_size, picture_query
-from api.http.routes_tiles import JPEG, PICTURE_DOCS
-from api.http.service import TheService
-from api.layers import LAYERS, MEDIA_TYPES, VIEW_LAYERS, PictureFormat, view_formats
-from api.workers.jobs import PictureRequest, Snapshot, SnapshotJob
-from selector.formatting import format_list
-from terrain.errors import InputError
-from terrain.level.parts import PerspectiveSpec
+from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
+from skugga.api.http.cameras import CAMERA_PARAMETERS, camera_query
+from skugga.api.http.documented import LevelPath, file_docs, for_example
+from skugga.api.http.moments import time_headers
+from skugga.api.http.numbers import PLAIN_DECIMAL
+from skugga.api.http.parameters import (
+    PICTURE_PARAMETERS,
+    LayerQuery,
+    ViewQuery,
+    allow_only,
+    check_pixels,
+    parse_size,
+    picture_query,
+)
+from skugga.api.http.routes_tiles import JPEG, PICTURE_DOCS
+from skugga.api.http.service import TheService
+from skugga.api.layers import LAYERS, MEDIA_TYPES, VIEW_LAYERS, PictureFormat, view_formats
+from skugga.api.workers.jobs import PictureRequest, Snapshot, SnapshotJob
+from skugga.selector.formatting import format_list
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.parts import PerspectiveSpec
 
 router = APIRouter(
     tags=["snapshots"], responses=PICTURE_DOCS | file_docs("The picture.", MEDIA_TYPES.values()), default_response_class=Response

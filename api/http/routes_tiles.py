@@ -9,9 +9,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Path, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.errors import ArchiveError, NotServedError
-from api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
-from api.http.documented import (
+from skugga.api.errors import ArchiveError, NotServedError
+from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
+from skugga.api.http.documented import (
     WORK_ERRORS,
     Answers,
     ColumnPath,
@@ -22,17 +22,17 @@ from api.http.documented import (
     file_docs,
     problem_docs,
 )
-from api.http.encoded_tiles import EncodedTile
-from api.http.moments import time_headers
-from api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
-from api.http.routes_archives import archived_tile, read_tile
-from api.http.service import Service, TheService
-from api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
-from api.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
-from api.workers.block_tiles import ARRAY_FORMATS, check_format, empty_layer, empty_tile, encode, place_in_block
-from api.workers.jobs import BlockJob, BlockTiles, PictureRequest, SunHoursJob
-from selector.formatting import format_list
-from terrain.geo.grid import TILE_PX
+from skugga.api.http.encoded_tiles import EncodedTile
+from skugga.api.http.moments import time_headers
+from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
+from skugga.api.http.routes_archives import archived_tile, read_tile
+from skugga.api.http.service import Service, TheService
+from skugga.api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
+from skugga.api.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
+from skugga.api.workers.block_tiles import ARRAY_FORMATS, check_format, empty_layer, empty_tile, encode, place_in_block
+from skugga.api.workers.jobs import BlockJob, BlockTiles, PictureRequest, SunHoursJob
+from skugga.selector.formatting import format_list
+from skugga.terrain.geo.grid import TILE_PX
 
 PICTURE_DOCS: Answers = {
     **file_docs(

@@ -11,9 +11,9 @@ from fastapi.responses import FileResponse, HTMLResponse, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.staticfiles import StaticFiles
 
-from api.http.served_levels import DEFAULT_MATRIX_SET
-from api.http.service import TheService
-from api.http.watching import page_policy
+from skugga.api.http.served_levels import DEFAULT_MATRIX_SET
+from skugga.api.http.service import TheService
+from skugga.api.http.watching import page_policy
 
 STATIC_FOLDER = Path(__file__).parents[1] / "static"
 

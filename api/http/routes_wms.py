@@ -9,13 +9,13 @@ from fastapi import APIRouter, Request, Response
 from pyproj import CRS
 from starlette.concurrency import run_in_threadpool
 
-from api.errors import NotServedError
-from api.http.answers import base_url, cache_headers, document_answer, is_fresh, tag_of
-from api.http.documented import WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
-from api.http.map_extents import MapBounds, check_side, crs_code, crs_of_code, north_first, parse_bounds
-from api.http.maps import MapQuery, map_answer
-from api.http.moments import fresh_for, time_headers
-from api.http.ogc_requests import (
+from skugga.api.errors import NotServedError
+from skugga.api.http.answers import base_url, cache_headers, document_answer, is_fresh, tag_of
+from skugga.api.http.documented import WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
+from skugga.api.http.map_extents import MapBounds, check_side, crs_code, crs_of_code, north_first, parse_bounds
+from skugga.api.http.maps import MapQuery, map_answer
+from skugga.api.http.moments import fresh_for, time_headers
+from skugga.api.http.ogc_requests import (
     KeyValues,
     exception_answer,
     format_named,
@@ -25,14 +25,14 @@ from api.http.ogc_requests import (
     sun_hours_asked,
     this_year,
 )
-from api.http.ogc_xml import wms_exception
-from api.http.parameters import OWN_STYLE
-from api.http.point_documents import Rows, report_features, report_page, report_rows, report_text
-from api.http.routes_levels import legend_answer
-from api.http.routes_point import of_a_day, run_point
-from api.http.served_levels import ServedLevel
-from api.http.service import Service, TheService
-from api.http.wms_capabilities import (
+from skugga.api.http.ogc_xml import wms_exception
+from skugga.api.http.parameters import OWN_STYLE
+from skugga.api.http.point_documents import Rows, report_features, report_page, report_rows, report_text
+from skugga.api.http.routes_levels import legend_answer
+from skugga.api.http.routes_point import of_a_day, run_point
+from skugga.api.http.served_levels import ServedLevel
+from skugga.api.http.service import Service, TheService
+from skugga.api.http.wms_capabilities import (
     INFO_MEDIA,
     LEGEND_MEDIA,
     MAP_MEDIA,
@@ -41,13 +41,13 @@ from api.http.wms_capabilities import (
     map_formats_told,
     wms_capabilities,
 )
-from api.layers import MAP_MEDIA_TYPES
-from api.point.values import PointQuery
-from api.sun_hours_layer import SUN_HOURS_LAYER
-from api.workers.block_tiles import map_formats_of
-from api.workers.jobs import PictureRequest, PointJob
-from terrain.errors import InputError, SkuggaError, UnsupportedError
-from terrain.geo.world import LONGITUDE_LATITUDE, transformer
+from skugga.api.layers import MAP_MEDIA_TYPES
+from skugga.api.point.values import PointQuery
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.api.workers.block_tiles import map_formats_of
+from skugga.api.workers.jobs import PictureRequest, PointJob
+from skugga.terrain.errors import InputError, SkuggaError, UnsupportedError
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
 
 router = APIRouter(tags=["map services"], default_response_class=Response)
 

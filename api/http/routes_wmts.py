@@ -7,17 +7,17 @@ from urllib.parse import quote
 from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.http.answers import base_url, document_answer
-from api.http.documented import LEVEL_ERRORS, WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
-from api.http.ogc_requests import KeyValues, exception_answer, format_named, shown_asked, split_layer, this_year
-from api.http.ogc_xml import ows_exception
-from api.http.parameters import OWN_STYLE
-from api.http.routes_tiles import EMPTY_DOCS, tile_answer
-from api.http.service import Service, TheService
-from api.http.wmts_capabilities import WMTS_VERSION, wmts_capabilities
-from api.layers import MAP_MEDIA_TYPES
-from api.matrices import matrix_set_of
-from terrain.errors import InputError, SkuggaError, UnsupportedError
+from skugga.api.http.answers import base_url, document_answer
+from skugga.api.http.documented import LEVEL_ERRORS, WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
+from skugga.api.http.ogc_requests import KeyValues, exception_answer, format_named, shown_asked, split_layer, this_year
+from skugga.api.http.ogc_xml import ows_exception
+from skugga.api.http.parameters import OWN_STYLE
+from skugga.api.http.routes_tiles import EMPTY_DOCS, tile_answer
+from skugga.api.http.service import Service, TheService
+from skugga.api.http.wmts_capabilities import WMTS_VERSION, wmts_capabilities
+from skugga.api.layers import MAP_MEDIA_TYPES
+from skugga.api.matrices import matrix_set_of
+from skugga.terrain.errors import InputError, SkuggaError, UnsupportedError
 
 router = APIRouter(tags=["map services"], default_response_class=Response)
 

@@ -7,9 +7,9 @@ from functools import partial
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from api.http.encoded_tiles import DrawnBy, EncodedTile
-from api.http.service import Service
-from api.http.watching import KEPT
+from skugga.api.http.encoded_tiles import DrawnBy, EncodedTile
+from skugga.api.http.service import Service
+from skugga.api.http.watching import KEPT
 
 KEPT_TILE = "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)"
 """The route in metrics and logs of tiles that are answered before one is looked for."""

@@ -13,8 +13,8 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictBool, model_validator
 from pydantic_core import PydanticCustomError
 
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Band, LampFacts, LightFacts
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Band, LampFacts, LightFacts
 
 MAX_LAMPS = 32
 """Lamps of a descriptor: a plan tells of each by itself."""
@@ -58,7 +58,7 @@ class _Facts(BaseModel):
 
 
 class HazeFacts(_Facts):
-    """Of ``terrain.effects.haze``, metres."""
+    """Of ``skugga.terrain.effects.haze``, metres."""
 
     visibility_m: Annotated[FactNumber, Field(gt=0.0)] | None = None
     farthest_m: FactNumber | None = None
@@ -66,7 +66,7 @@ class HazeFacts(_Facts):
 
 
 class SnowFacts(_Facts):
-    """Of ``terrain.effects.snow``."""
+    """Of ``skugga.terrain.effects.snow``."""
 
     lies: StrictBool
     on: StrictBool
@@ -74,7 +74,7 @@ class SnowFacts(_Facts):
 
 
 class WaterFacts(_Facts):
-    """Of ``terrain.effects.water``, metres and steps of 255."""
+    """Of ``skugga.terrain.effects.water``, metres and steps of 255."""
 
     level_m: FactNumber | None
     covers: StrictBool
@@ -83,28 +83,28 @@ class WaterFacts(_Facts):
 
 
 class CloudFacts(_Facts):
-    """Of ``terrain.effects.clouds``, shares."""
+    """Of ``skugga.terrain.effects.clouds``, shares."""
 
     cover: FactShare
     taken: FactShare | None
 
 
 class SkyViewFacts(_Facts):
-    """Of ``terrain.effects.sky_view``, a share and steps of 255."""
+    """Of ``skugga.terrain.effects.sky_view``, a share and steps of 255."""
 
     hidden: FactShare
     steps: FactNumber
 
 
 class RefractionFacts(_Facts):
-    """Of ``terrain.effects.refraction``, degrees and metres."""
+    """Of ``skugga.terrain.effects.refraction``, degrees and metres."""
 
     lift_deg: FactNumber | None = None
     moves_m: FactNumber | None = None
 
 
 class CastShadowFacts(_Facts):
-    """Of ``terrain.effects.cast_shadows``: differences of slopes, and what can stand before the sun."""
+    """Of ``skugga.terrain.effects.cast_shadows``: differences of slopes, and what can stand before the sun."""
 
     least_slope: FactNumber | None = None
     most_slope: FactNumber | None = None
@@ -113,20 +113,20 @@ class CastShadowFacts(_Facts):
 
 
 class AlphaTestFacts(_Facts):
-    """Of ``terrain.effects.alpha_test``."""
+    """Of ``skugga.terrain.effects.alpha_test``."""
 
     drawn: StrictBool = True
 
 
 class CrownFacts(_Facts):
-    """Of ``terrain.effects.crowns``."""
+    """Of ``skugga.terrain.effects.crowns``."""
 
     trees: FactNumber
     sunlit: StrictBool
 
 
 class GroundDetailFacts(_Facts):
-    """Of ``terrain.effects.ground_detail``, metres and a share of the albedo."""
+    """Of ``skugga.terrain.effects.ground_detail``, metres and a share of the albedo."""
 
     draped: StrictBool
     nearest_m: FactNumber | None
@@ -134,7 +134,7 @@ class GroundDetailFacts(_Facts):
 
 
 class OutsideCasterFacts(_Facts):
-    """Of ``terrain.effects.outside_casters``."""
+    """Of ``skugga.terrain.effects.outside_casters``."""
 
     outside: StrictBool = True
 

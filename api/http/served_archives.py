@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
-from api.errors import ArchiveError, NotServedError
-from api.http.archive_file import ArchiveFile, changed
-from api.http.level_checks import LevelCheck
-from api.http.served_levels import ServedLevel
-from api.layers import LAYERS
-from terrain.errors import InputError, SkuggaError, printable
+from skugga.api.errors import ArchiveError, NotServedError
+from skugga.api.http.archive_file import ArchiveFile, changed
+from skugga.api.http.level_checks import LevelCheck
+from skugga.api.http.served_levels import ServedLevel
+from skugga.api.layers import LAYERS
+from skugga.terrain.errors import InputError, SkuggaError, printable
 
 log = logging.getLogger("skugga")
 

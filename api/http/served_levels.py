@@ -13,26 +13,26 @@ from typing import Any
 
 from pyproj import CRS
 
-from api.errors import NotServedError
-from api.file_stamps import Stamp, file_stamps, level_version, watched_files
-from api.http.level_checks import LevelCheck
-from api.layers import BETWEEN_LAYERS, MAP_LAYERS, PICTURE_LAYERS
-from api.matrices import LonLatBounds, ZoomRange, detail_m, matrix_set_of, served_matrix_sets, zoom_range
-from api.sun_hours_layer import SUN_HOURS_LAYER
-from api.workers.jobs import LevelKey
-from terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError, printable
-from terrain.geo.clock import time_zone_at
-from terrain.geo.sun import Sun, sun_of
-from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
-from terrain.level.algorithm_names import served_algorithms
-from terrain.level.data_roots import DataRoots
-from terrain.level.level import SUN, LoadedLevel, expand_override, lights_named, load_level
-from terrain.level.level_source import LevelSource
-from terrain.level.linked_files import is_remote
-from terrain.level.parts import SunSpec
-from terrain.level.rasters import LEVEL_SUFFIXES
-from terrain.scene import Scene, build_scene, with_own_sun
-from terrain.style import STYLES
+from skugga.api.errors import NotServedError
+from skugga.api.file_stamps import Stamp, file_stamps, level_version, watched_files
+from skugga.api.http.level_checks import LevelCheck
+from skugga.api.layers import BETWEEN_LAYERS, MAP_LAYERS, PICTURE_LAYERS
+from skugga.api.matrices import LonLatBounds, ZoomRange, detail_m, matrix_set_of, served_matrix_sets, zoom_range
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.api.workers.jobs import LevelKey
+from skugga.terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError, printable
+from skugga.terrain.geo.clock import time_zone_at
+from skugga.terrain.geo.sun import Sun, sun_of
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from skugga.terrain.level.algorithm_names import served_algorithms
+from skugga.terrain.level.data_roots import DataRoots
+from skugga.terrain.level.level import SUN, LoadedLevel, expand_override, lights_named, load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.linked_files import is_remote
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.level.rasters import LEVEL_SUFFIXES
+from skugga.terrain.scene import Scene, build_scene, with_own_sun
+from skugga.terrain.style import STYLES
 
 DEFAULT_MATRIX_SET = "WebMercatorQuad"
 

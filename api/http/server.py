@@ -16,15 +16,15 @@ from typing import Any
 
 import uvicorn
 
-from api.http.app import create_app
-from api.http.bounded_headers import BoundedHeaders
-from api.http.listening import BoundedListener
-from api.http.service import Service
-from api.http.watching import LogLine
-from api.settings import Settings
-from api.workers.process_life import open_descriptors
-from api.workers.spawned import Spawned
-from terrain.level.level_source import LevelSource
+from skugga.api.http.app import create_app
+from skugga.api.http.bounded_headers import BoundedHeaders
+from skugga.api.http.listening import BoundedListener
+from skugga.api.http.service import Service
+from skugga.api.http.watching import LogLine
+from skugga.api.settings import Settings
+from skugga.api.workers.process_life import open_descriptors
+from skugga.api.workers.spawned import Spawned
+from skugga.terrain.level.level_source import LevelSource
 
 LAST_ANSWERS_S = 3
 """How long a stopping server waits for clients to read their answers."""

@@ -10,21 +10,21 @@ from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Request
 
-from api.animations.animations import Animations
-from api.animations.drawing import frame_job
-from api.animations.film_order import FilmOrder
-from api.errors import NotServedError
-from api.http.answers import FACTS_S, ExpectedTime
-from api.http.encoded_tiles import EncodedTiles
-from api.http.metrics import ServiceMetrics
-from api.http.moments import fresh_for
-from api.http.new_suns import NewSuns, network_of
-from api.http.served_archives import ServedArchives
-from api.http.served_levels import ServedLevel, ServedLevels
-from api.settings import Settings
-from api.workers.jobs import DescribedPlanJob, FilmChecked, Job, Result
-from api.workers.pool import Pool
-from terrain.errors import LevelError, SkuggaError, SourceError
+from skugga.api.animations.animations import Animations
+from skugga.api.animations.drawing import frame_job
+from skugga.api.animations.film_order import FilmOrder
+from skugga.api.errors import NotServedError
+from skugga.api.http.answers import FACTS_S, ExpectedTime
+from skugga.api.http.encoded_tiles import EncodedTiles
+from skugga.api.http.metrics import ServiceMetrics
+from skugga.api.http.moments import fresh_for
+from skugga.api.http.new_suns import NewSuns, network_of
+from skugga.api.http.served_archives import ServedArchives
+from skugga.api.http.served_levels import ServedLevel, ServedLevels
+from skugga.api.settings import Settings
+from skugga.api.workers.jobs import DescribedPlanJob, FilmChecked, Job, Result
+from skugga.api.workers.pool import Pool
+from skugga.terrain.errors import LevelError, SkuggaError, SourceError
 
 T = TypeVar("T")
 

@@ -14,10 +14,10 @@ from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.exhaustion import exhausted_error
-from api.http.metrics import ServiceMetrics
-from api.http.moments import TIME_HEADER
-from api.http.problems import domain_problem, problem_of, problem_response
+from skugga.api.exhaustion import exhausted_error
+from skugga.api.http.metrics import ServiceMetrics
+from skugga.api.http.moments import TIME_HEADER
+from skugga.api.http.problems import domain_problem, problem_of, problem_response
 
 REQUEST_ID = "X-Request-ID"
 SANE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")

@@ -8,19 +8,19 @@ from xml.etree.ElementTree import Element
 
 from pyproj import CRS
 
-from api.color_scale import LEGEND_MEDIA_TYPES, LEGEND_SIZE_PX
-from api.http.map_extents import bounds_in, crs_of_code, north_first
-from api.http.moments import OWN_TIME
-from api.http.ogc_requests import gis_formats, layer_name, layer_title, styles_of
-from api.http.ogc_times import time_dimension
-from api.http.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
-from api.http.parameters import TILE_LAYERS
-from api.http.served_levels import ServedLevel
-from api.http.wmts_capabilities import hangs_on_time, layer_abstract, legend_url
-from api.layers import MAP_MEDIA_TYPES
-from api.sun_hours_layer import SUN_HOURS_LAYER
-from api.workers.block_tiles import map_formats_of
-from terrain.errors import InputError
+from skugga.api.color_scale import LEGEND_MEDIA_TYPES, LEGEND_SIZE_PX
+from skugga.api.http.map_extents import bounds_in, crs_of_code, north_first
+from skugga.api.http.moments import OWN_TIME
+from skugga.api.http.ogc_requests import gis_formats, layer_name, layer_title, styles_of
+from skugga.api.http.ogc_times import time_dimension
+from skugga.api.http.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
+from skugga.api.http.parameters import TILE_LAYERS
+from skugga.api.http.served_levels import ServedLevel
+from skugga.api.http.wmts_capabilities import hangs_on_time, layer_abstract, legend_url
+from skugga.api.layers import MAP_MEDIA_TYPES
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.api.workers.block_tiles import map_formats_of
+from skugga.terrain.errors import InputError
 
 WMS_VERSION = "1.3.0"
 

@@ -9,15 +9,15 @@ from xml.etree.ElementTree import Element
 from morecantile import TileMatrixSet
 from pyproj import CRS
 
-from api.http.ogc_requests import gis_formats, layer_name, layer_title, styles_of
-from api.http.ogc_times import time_dimension
-from api.http.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
-from api.http.parameters import OWN_STYLE, TILE_LAYERS
-from api.http.served_levels import ServedLevel
-from api.layers import LAYERS, MAP_MEDIA_TYPES
-from api.matrices import matrix_set_of, tile_limits
-from api.sun_hours_layer import SUN_HOURS_LAYER
-from terrain.geo.grid import crs_of_tiles
+from skugga.api.http.ogc_requests import gis_formats, layer_name, layer_title, styles_of
+from skugga.api.http.ogc_times import time_dimension
+from skugga.api.http.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
+from skugga.api.http.parameters import OWN_STYLE, TILE_LAYERS
+from skugga.api.http.served_levels import ServedLevel
+from skugga.api.layers import LAYERS, MAP_MEDIA_TYPES
+from skugga.api.matrices import matrix_set_of, tile_limits
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.terrain.geo.grid import crs_of_tiles
 
 WMTS_VERSION = "1.0.0"
 

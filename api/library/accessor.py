@@ -20,13 +20,13 @@ import xarray
 from rasterio.enums import Resampling
 from rasterio.windows import Window
 
-from api.library.checked import AltitudeDeg, AzimuthDeg, Date, Time, checked
-from api.library.grids import grid_of_heights
-from api.library.opened_level import OpenLevel, open_level
-from api.library.upright_grid import UprightGrid, upright_grid
-from api.raster_file import TILE
-from shadows.registry import ALGORITHMS
-from terrain.errors import InputError
+from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, Date, Time, checked
+from skugga.api.library.grids import grid_of_heights
+from skugga.api.library.opened_level import OpenLevel, open_level
+from skugga.api.library.upright_grid import UprightGrid, upright_grid
+from skugga.api.raster_file import TILE
+from skugga.shadows.registry import ALGORITHMS
+from skugga.terrain.errors import InputError
 
 MOST_OVERVIEW_CELLS = 512
 """Of the coarsest overview of a temporary raster, a side."""

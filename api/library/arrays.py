@@ -8,10 +8,10 @@ from typing import Any, cast
 import numpy as np
 from affine import Affine
 
-from api.library.checked import AltitudeDeg, AzimuthDeg, CellSides, Cores, Date, LatitudeDeg, Lines, LongitudeDeg, checked
-from api.library.grids import Heights, HorizonHeights, SweptHeights
-from shadows.sweep import grid as sweep
-from shadows.sweep.horizon import horizon_deg
+from skugga.api.library.checked import AltitudeDeg, AzimuthDeg, CellSides, Cores, Date, LatitudeDeg, Lines, LongitudeDeg, checked
+from skugga.api.library.grids import Heights, HorizonHeights, SweptHeights
+from skugga.shadows.sweep import grid as sweep
+from skugga.shadows.sweep.horizon import horizon_deg
 
 
 @checked
@@ -113,7 +113,7 @@ def sun_hours_of_array(
     SkuggaError
         For a wrong argument, and for arrays that do not fit into memory.
     """
-    from api.library.opened_level import open_heights
+    from skugga.api.library.opened_level import open_heights
 
     heights, (down_m, right_m) = cast(np.ndarray, height_m), cast(tuple[float, float], cell_m)
     rows, cols = heights.shape

@@ -20,10 +20,10 @@ from pydantic_core import PydanticCustomError
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from terrain.errors import Fault, InputError, SkuggaError
-from terrain.geo.clock import date_of
-from terrain.level.level import Shadows
-from terrain.level.parts import TIME_WORDS
+from skugga.terrain.errors import Fault, InputError, SkuggaError
+from skugga.terrain.geo.clock import date_of
+from skugga.terrain.level.level import Shadows
+from skugga.terrain.level.parts import TIME_WORDS
 
 ParametersT = ParamSpec("ParametersT")
 ResultT = TypeVar("ResultT")

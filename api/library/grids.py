@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import PlainValidator
 
-from api.library.memory import check_memory
-from terrain.errors import ArrayError, Fault
+from skugga.api.library.memory import check_memory
+from skugga.terrain.errors import ArrayError, Fault
 
 MAX_HEIGHT_M = 1e6
 """As in engineering CRSs: what lies beyond is an unmarked sentinel, as -3.4e38."""

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from terrain.errors import Fault, InputError
+from skugga.terrain.errors import Fault, InputError
 
 MEMINFO = Path("/proc/meminfo")
 CGROUPS = (

@@ -17,11 +17,11 @@ from pyproj import CRS
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
-from api.catalogue import find_level
-from api.device_calibration import calibration_for
-from api.film_span import USUAL_FPS, film_span
-from api.layers import PASS_LAYERS, frame_layer
-from api.library.checked import (
+from skugga.api.catalogue import find_level
+from skugga.api.device_calibration import calibration_for
+from skugga.api.film_span import USUAL_FPS, film_span
+from skugga.api.layers import PASS_LAYERS, frame_layer
+from skugga.api.library.checked import (
     AltitudeDeg,
     AnyCrs,
     AzimuthDeg,
@@ -39,29 +39,29 @@ from api.library.checked import (
     Transform,
     checked,
 )
-from api.library.grids import Heights
-from api.library.memory import check_memory
-from api.library.tile_service import TileService
-from api.point.report import around_point, point_report
-from api.point.values import PointQuery, PointReport
-from api.shade import RasterView, raster_view, shade_array
-from api.shade_layers import SHADE_LAYERS
-from api.sun_hours import sun_hours_array
-from selector.film import film_frames, frame_moments
-from selector.film_request import FilmRequest
-from selector.replanning import Replanner
-from selector.select import plan_of_view
-from shadows.point.horizon import PointHorizon, horizon_round
-from shadows.render import render_frame
-from shadows.sun_hours.sun_hours import SunRules
-from terrain.errors import Fault, InputError
-from terrain.geo.clock import clock_named
-from terrain.geo.daily_windows import readings_of, windows_asked
-from terrain.level.camera_file import load_camera_path
-from terrain.level.level import load_level, parse_sun
-from terrain.level.level_source import LevelSource, direction_named, units_named
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.api.library.grids import Heights
+from skugga.api.library.memory import check_memory
+from skugga.api.library.tile_service import TileService
+from skugga.api.point.report import around_point, point_report
+from skugga.api.point.values import PointQuery, PointReport
+from skugga.api.shade import RasterView, raster_view, shade_array
+from skugga.api.shade_layers import SHADE_LAYERS
+from skugga.api.sun_hours import sun_hours_array
+from skugga.selector.film import film_frames, frame_moments
+from skugga.selector.film_request import FilmRequest
+from skugga.selector.replanning import Replanner
+from skugga.selector.select import plan_of_view
+from skugga.shadows.point.horizon import PointHorizon, horizon_round
+from skugga.shadows.render import render_frame
+from skugga.shadows.sun_hours.sun_hours import SunRules
+from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.geo.clock import clock_named
+from skugga.terrain.geo.daily_windows import readings_of, windows_asked
+from skugga.terrain.level.camera_file import load_camera_path
+from skugga.terrain.level.level import load_level, parse_sun
+from skugga.terrain.level.level_source import LevelSource, direction_named, units_named
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 
 ARRAY = "the array"
 """Name of a raster in memory in messages."""
@@ -203,8 +203,8 @@ class OpenLevel:
     ) -> np.ndarray:
         """A raster of shade on the level's own cells, those of ``like``, or square ones of a ``resolution`` in ``crs``.
 
-        It is one of ``api.shade_layers.SHADE_LAYERS``: (rows, cols), or (rows, cols, 4) of ``color`` and ``shadow``. The sun is as
-        in ``render``. ``cells`` are rows and columns of the level's own (``shape``), as ``np.s_[:512, 512:1024]``.
+        It is one of ``skugga.api.shade_layers.SHADE_LAYERS``: (rows, cols), or (rows, cols, 4) of ``color`` and ``shadow``. The sun
+        is as in ``render``. ``cells`` are rows and columns of the level's own (``shape``), as ``np.s_[:512, 512:1024]``.
 
         Raises ``SkuggaError``, also for arrays that do not fit into memory.
         """

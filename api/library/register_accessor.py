@@ -5,12 +5,12 @@ from __future__ import annotations
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from api.library.import_hooks import call_after_import
+from skugga.api.library.import_hooks import call_after_import
 
 if TYPE_CHECKING:
     import xarray
 
-    from api.library.accessor import SkuggaAccessor
+    from skugga.api.library.accessor import SkuggaAccessor
 
 
 def register_accessor() -> None:
@@ -30,6 +30,6 @@ def _register(xarray: ModuleType) -> None:
 
 def _accessor(array: xarray.DataArray) -> SkuggaAccessor:
     """Questions of sun to heights (y, x), metres, with a CRS by ``rio.write_crs``: ``shadow``, ``sun_hours`` and ``horizon``."""
-    from api.library.accessor import SkuggaAccessor
+    from skugga.api.library.accessor import SkuggaAccessor
 
     return SkuggaAccessor(array)

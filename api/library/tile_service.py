@@ -16,7 +16,7 @@ from urllib.error import HTTPError
 from urllib.parse import quote
 from urllib.request import urlopen
 
-from terrain.errors import RenderError
+from skugga.terrain.errors import RenderError
 
 READY_S = 600.0
 """How long it may take to start: with empty caches it compiles for some minutes."""
@@ -36,7 +36,7 @@ class TileService:
         self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115  # as long as the process
         port = _free_port()
         self.address = f"http://127.0.0.1:{port}"
-        command = "from api.cli.main import main; main()"
+        command = "from skugga.api.cli.main import main; main()"
         process = subprocess.Popen(
             [sys.executable, "-c", command, "serve", str(level), "--port", str(port)],
             env={**dict.fromkeys(WHEN_IDLE, "false"), **os.environ},  # the notebook beside it is not idle

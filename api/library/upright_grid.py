@@ -14,12 +14,12 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 from rioxarray.exceptions import RioXarrayError
 
-from api.library.grids import GRID_BYTES, grid_of_heights
-from api.library.memory import check_memory
-from api.library.opened_level import OpenLevel, level_of_heights
-from terrain.errors import ArrayError, Fault, InputError, SourceError
-from terrain.ground.vertical import VerticalAxis, axis_of_band
-from terrain.level.parts import METRES_PER_UNIT
+from skugga.api.library.grids import GRID_BYTES, grid_of_heights
+from skugga.api.library.memory import check_memory
+from skugga.api.library.opened_level import OpenLevel, level_of_heights
+from skugga.terrain.errors import ArrayError, Fault, InputError, SourceError
+from skugga.terrain.ground.vertical import VerticalAxis, axis_of_band
+from skugga.terrain.level.parts import METRES_PER_UNIT
 
 ARRAY = "the array"
 

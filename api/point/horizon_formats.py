@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from terrain.errors import InputError
+from skugga.terrain.errors import InputError
 
 if TYPE_CHECKING:
-    from shadows.point.horizon import PointHorizon
-    from shadows.point.place import PointPlace
+    from skugga.shadows.point.horizon import PointHorizon
+    from skugga.shadows.point.place import PointPlace
 
 Writer = Callable[["PointHorizon", "PointPlace"], str]
 

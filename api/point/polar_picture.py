@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from shadows.point.horizon import PointHorizon, Surroundings, sun_reaches
-from shadows.point.sun_angles import angles_at, sun_looks
-from terrain.geo.clock import day_ends
+from skugga.shadows.point.horizon import PointHorizon, Surroundings, sun_reaches
+from skugga.shadows.point.sun_angles import angles_at, sun_looks
+from skugga.terrain.geo.clock import day_ends
 
 SkyPictureFormat = Literal["svg", "png"]
 

@@ -7,16 +7,16 @@ from datetime import UTC, date, datetime, tzinfo
 import numpy as np
 from pyproj import CRS
 
-from api.point.values import DayHours, PointQuery, PointReport, ReportedCaster, ReportedDay, ReportedInterval, ReportedMoment
-from shadows.point.clock import clock_of
-from shadows.point.horizon import SunCaster, Surroundings, surroundings, what_hides
-from shadows.point.place import POINT, place_at
-from shadows.point.sun_angles import own_sun_at
-from shadows.point.sun_day import SunDay, sun_day
-from shadows.point.sun_year import sun_year
-from terrain.errors import InputError
-from terrain.geo.sun_path import check_date
-from terrain.scene import Scene
+from skugga.api.point.values import DayHours, PointQuery, PointReport, ReportedCaster, ReportedDay, ReportedInterval, ReportedMoment
+from skugga.shadows.point.clock import clock_of
+from skugga.shadows.point.horizon import SunCaster, Surroundings, surroundings, what_hides
+from skugga.shadows.point.place import POINT, place_at
+from skugga.shadows.point.sun_angles import own_sun_at
+from skugga.shadows.point.sun_day import SunDay, sun_day
+from skugga.shadows.point.sun_year import sun_year
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.sun_path import check_date
+from skugga.terrain.scene import Scene
 
 NO_DAY = "there is no day without longitude and latitude on the earth"
 NO_SUN = "the level has no sun of its own: give a time"

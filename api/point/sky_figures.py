@@ -7,9 +7,9 @@ from datetime import UTC, date, datetime, tzinfo
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from shadows.point.horizon import PointHorizon, Surroundings, sun_reaches
-from shadows.point.sun_angles import angles_at, sun_looks
-from terrain.geo.clock import day_ends
+from skugga.shadows.point.horizon import PointHorizon, Surroundings, sun_reaches
+from skugga.shadows.point.sun_angles import angles_at, sun_looks
+from skugga.terrain.geo.clock import day_ends
 
 SUN_STEP_S = 300.0
 """Between two places of the sun on its path."""

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from api.point.report import around_point, clock_asked, day_asked, sun_now
-from api.point.values import MAX_POINTS, PointAnswerRow, PointQuery, TrackPoint
-from shadows.point.sun_angles import sun_directions
-from shadows.point.sun_day import hours_between_looks
-from terrain.errors import InputError, SourceError
-from terrain.geo.sun import Sun
-from terrain.geo.world import LONGITUDE_LATITUDE, WGS84
-from terrain.level.level import parse_sun
-from terrain.scene import Scene
+from skugga.api.point.report import around_point, clock_asked, day_asked, sun_now
+from skugga.api.point.values import MAX_POINTS, PointAnswerRow, PointQuery, TrackPoint
+from skugga.shadows.point.sun_angles import sun_directions
+from skugga.shadows.point.sun_day import hours_between_looks
+from skugga.terrain.errors import InputError, SourceError
+from skugga.terrain.geo.sun import Sun
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, WGS84
+from skugga.terrain.level.level import parse_sun
+from skugga.terrain.scene import Scene
 
 TIME_FIELDS, HEIGHT_FIELDS = ("time", "arrival", "datetime"), ("height", "height_m")
 LON_FIELDS, LAT_FIELDS = ("lon", "longitude", "lng", "x"), ("lat", "latitude", "y")
@@ -38,7 +38,7 @@ def read_track(path: Path, every_m: float, height_m: float = 0.0) -> list[TrackP
     """The points of a line, at its corners and every so many metres between. Raises as ``read_points``."""
     import shapely
 
-    from terrain.geo.vectors import read_features, vector_layer
+    from skugga.terrain.geo.vectors import read_features, vector_layer
 
     features = read_features(str(path), LONGITUDE_LATITUDE, layer=vector_layer(str(path), (1,)))
     lines = [part for part in shapely.get_parts(features.geometry) if part.geom_type == "LineString"]
@@ -134,8 +134,8 @@ def _csv_points(path: Path, height_m: float) -> list[TrackPoint]:
 
 
 def _vector_points(path: Path, height_m: float) -> list[TrackPoint]:
-    from terrain.geo.vectors import attribute_names, numbers, read_features, vector_layer
-    from terrain.ground.length_text import length_m
+    from skugga.terrain.geo.vectors import attribute_names, numbers, read_features, vector_layer
+    from skugga.terrain.ground.length_text import length_m
 
     layer = vector_layer(str(path), (0,))
     names = {name.strip().lower(): name for name in attribute_names(str(path), layer.name or 0)}

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import AwareDatetime, BaseModel, BeforeValidator, ConfigDict, Field
 
-from shadows.point.terms import HIGHEST_EYE_M, CasterType
+from skugga.shadows.point.terms import HIGHEST_EYE_M, CasterType
 
 MAX_POINTS = 10_000
 """Most points of a request or a file."""
@@ -77,7 +77,7 @@ class ReportedInterval(_Reported):
 
 
 class ReportedDay(_Reported):
-    """A day's sun: see ``shadows.point.sun_day.SunDay``."""
+    """A day's sun: see ``skugga.shadows.point.sun_day.SunDay``."""
 
     date: _Date
     clock: str

@@ -1,4 +1,1 @@
-"""Figures in words and pages: a plan in words, a comparison's summary, table and self-contained HTML report.
-
-May import: picture_cost.
-"""
+"""Figures in words and pages: a plan in words, a comparison's summary, table and self-contained HTML report."""

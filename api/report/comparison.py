@@ -13,18 +13,18 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from api.report.report import LEFT_OUT, MAX_PAGE_BYTES, write_report, write_scatter
-from api.report.summary import format_summary
-from selector.measure.compare import Comparison, ComparisonRow, false_colours
-from selector.planner.planner import make_plan
-from shadows.registry import NO_SHADOWS
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.errors import InputError
-from terrain.gl.device import device
-from terrain.level.level import SUN
-from terrain.scene import Scene
-from terrain.whole_files import replaced_whole
+from skugga.api.report.report import LEFT_OUT, MAX_PAGE_BYTES, write_report, write_scatter
+from skugga.api.report.summary import format_summary
+from skugga.selector.measure.compare import Comparison, ComparisonRow, false_colours
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.registry import NO_SHADOWS
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import InputError
+from skugga.terrain.gl.device import device
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
+from skugga.terrain.whole_files import replaced_whole
 
 
 def check_outputs(folder: Path | None, rows_file: Path | None) -> None:

@@ -6,16 +6,16 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 
-from api.picture_cost import NOTABLE_MS, remedy, time_limit_ms
-from selector.formatting import format_duration, format_list, format_percent
-from selector.planner.planner import SETTING_NAMES
-from shadows.algorithm import AlgorithmSettings, Reasoned
-from shadows.plan import Plan, Step, Target
-from shadows.registry import ALGORITHMS, NO_SHADOWS
-from terrain.effects import EFFECTS
-from terrain.geo.sun import Sun
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.api.picture_cost import NOTABLE_MS, remedy, time_limit_ms
+from skugga.selector.formatting import format_duration, format_list, format_percent
+from skugga.selector.planner.planner import SETTING_NAMES
+from skugga.shadows.algorithm import AlgorithmSettings, Reasoned
+from skugga.shadows.plan import Plan, Step, Target
+from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
+from skugga.terrain.effects import EFFECTS
+from skugga.terrain.geo.sun import Sun
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 LINE_WIDTH = 100
 """Characters of a line, at most."""

@@ -12,15 +12,15 @@ from string import Template
 
 import numpy as np
 
-from api.report.page.bars import bars, bars_legend, too_long
-from api.report.page.markup import breakable, definitions, script_json, tag
-from api.report.page.pictures import ErrorPicture, Pictures, palette, report_pictures
-from api.report.page.scatter import legend, scatter_plot, still
-from api.report.page.table import GLOSSARY, rows_table
-from api.report.summary import FLOORS, RowFigures, casts, format_summary, on_front
-from selector.formatting import format_duration, format_percent
-from selector.measure.compare import Comparison
-from terrain.whole_files import write_whole
+from skugga.api.report.page.bars import bars, bars_legend, too_long
+from skugga.api.report.page.markup import breakable, definitions, script_json, tag
+from skugga.api.report.page.pictures import ErrorPicture, Pictures, palette, report_pictures
+from skugga.api.report.page.scatter import legend, scatter_plot, still
+from skugga.api.report.page.table import GLOSSARY, rows_table
+from skugga.api.report.summary import FLOORS, RowFigures, casts, format_summary, on_front
+from skugga.selector.formatting import format_duration, format_percent
+from skugga.selector.measure.compare import Comparison
+from skugga.terrain.whole_files import write_whole
 
 MAX_PAGE_BYTES = 5_000_000
 """Of a page; what its text leaves of this is for pictures."""
@@ -108,7 +108,7 @@ def report_html(
 
 
 def _part(name: str) -> str:
-    return (files("api.report.page") / name).read_text(encoding="utf-8")
+    return (files("skugga.api.report.page") / name).read_text(encoding="utf-8")
 
 
 def _hash(text: str) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from selector.formatting import format_duration, format_list, format_percent, format_two_digits
-from selector.measure.compare import Comparison
-from shadows.registry import NO_SHADOWS
-from shadows.truth.metrics import MOST_INTERIOR
+from skugga.selector.formatting import format_duration, format_list, format_percent, format_two_digits
+from skugga.selector.measure.compare import Comparison
+from skugga.shadows.registry import NO_SHADOWS
+from skugga.shadows.truth.metrics import MOST_INTERIOR
 
 RowFigures = dict[str, Any]
 

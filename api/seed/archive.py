@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pmtiles.tile import Compression, Entry, serialize_directory, serialize_header, tileid_to_zxy
 
-from api.archive_format import HEADER_BYTES, TILE_TYPES
-from api.errors import BrokenShardError
-from terrain.errors import InputError
-from terrain.whole_files import replaced_whole
+from skugga.api.archive_format import HEADER_BYTES, TILE_TYPES
+from skugga.api.errors import BrokenShardError
+from skugga.terrain.errors import InputError
+from skugga.terrain.whole_files import replaced_whole
 
 DIGEST_BYTES = 16
 

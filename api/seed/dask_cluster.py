@@ -17,12 +17,12 @@ from contextlib import suppress
 from queue import Empty, Queue
 from typing import TYPE_CHECKING, Any
 
-from api.seed.messages import Drawn, NotDrawn, Task
-from api.seed.storage import store_at
-from terrain.errors import GraphicsError, InputError, RenderError
+from skugga.api.seed.messages import Drawn, NotDrawn, Task
+from skugga.api.seed.storage import store_at
+from skugga.terrain.errors import GraphicsError, InputError, RenderError
 
 if TYPE_CHECKING:
-    from api.seed.run_spec import RunSpec
+    from skugga.api.seed.run_spec import RunSpec
 
 NOBODY_S = 120.0
 """How long it is waited for a scheduler that has gone, and for the first worker: they may be started anew."""
@@ -48,7 +48,7 @@ class DaskCluster:
         try:
             import distributed
 
-            from api.seed import dask_worker
+            from skugga.api.seed import dask_worker
         except ImportError:
             raise InputError("--scheduler", address, "pip install 'skugga[cluster]'") from None
         self._distributed: Any = distributed

@@ -8,10 +8,10 @@ from typing import Any
 
 from distributed import WorkerPlugin, get_worker
 
-from api.seed.messages import Begun, Drawn, NotDrawn, Task
-from api.seed.render_process import RenderProcess, threads_of_one
-from api.seed.storage import store_at
-from terrain.errors import GraphicsError
+from skugga.api.seed.messages import Begun, Drawn, NotDrawn, Task
+from skugga.api.seed.render_process import RenderProcess, threads_of_one
+from skugga.api.seed.storage import store_at
+from skugga.terrain.errors import GraphicsError
 
 
 class KeptProcess:

@@ -8,21 +8,21 @@ import time as clock
 
 from pmtiles.tile import zxy_to_tileid
 
-from api.layers import LAYERS, MapFormat, nodata_height_m
-from api.seed.archive import ShardIndex
-from api.seed.messages import Drawn, Task
-from api.seed.run_spec import MATRIX_SET, RunSpec
-from api.seed.storage import ShardStore
-from api.workers.block_tiles import BLOCK_TILES, cut_tiles, empty_tile, encoded_part
-from api.workers.drawn_blocks import block_of_grid, drawn_block, grid_of_zoom
-from api.workers.map_jobs import heights_picture
-from terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS
-from terrain.compiling.hooks import need
-from terrain.errors import InputError
-from terrain.gbuffer.bare_ground import forget_ground_before
-from terrain.geo.grid import TILE_PX
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.layers import LAYERS, MapFormat, nodata_height_m
+from skugga.api.seed.archive import ShardIndex
+from skugga.api.seed.messages import Drawn, Task
+from skugga.api.seed.run_spec import MATRIX_SET, RunSpec
+from skugga.api.seed.storage import ShardStore
+from skugga.api.workers.block_tiles import BLOCK_TILES, cut_tiles, empty_tile, encoded_part
+from skugga.api.workers.drawn_blocks import block_of_grid, drawn_block, grid_of_zoom
+from skugga.api.workers.map_jobs import heights_picture
+from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS
+from skugga.terrain.compiling.hooks import need
+from skugga.terrain.errors import InputError
+from skugga.terrain.gbuffer.bare_ground import forget_ground_before
+from skugga.terrain.geo.grid import TILE_PX
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 
 RSS_UNIT_BYTES = 1 if sys.platform == "darwin" else 1024
 """Of ``getrusage``."""

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from terrain.ground.elevation import Elevation
+from skugga.terrain.ground.elevation import Elevation
 
 LEAST_SIDE = 64
 """Side of a chunk in cells; of large rasters twice as many, four times ..., ..."""

@@ -8,13 +8,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from api.file_stamps import file_stamps
-from api.seed.ground_chunks import GroundChunks, ground_chunks
-from api.seed.task_table import TaskTable
-from shadows.plan import Plan
-from terrain.level.level import LoadedLevel
-from terrain.level.linked_files import files_beside, is_remote, linked_files
-from terrain.scene import Scene
+from skugga.api.file_stamps import file_stamps
+from skugga.api.seed.ground_chunks import GroundChunks, ground_chunks
+from skugga.api.seed.task_table import TaskTable
+from skugga.shadows.plan import Plan
+from skugga.terrain.level.level import LoadedLevel
+from skugga.terrain.level.linked_files import files_beside, is_remote, linked_files
+from skugga.terrain.scene import Scene
 
 NO_PICTURE = {"title", "attribution", "views", "shadows", "sun", "archive"}
 """Keys of a level by which no tile becomes another one; what ``shadows`` says is in the plans, and a sun is told by itself."""

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from multiprocessing.connection import wait
 from typing import Protocol
 
-from api.seed.messages import Begun, Drawn, NotDrawn, Task
-from api.seed.render_process import START_LIMIT_S, RenderProcess, threads_of_one
-from api.seed.run_spec import RunSpec
-from terrain.cores import usable_cores
-from terrain.errors import GraphicsError
+from skugga.api.seed.messages import Begun, Drawn, NotDrawn, Task
+from skugga.api.seed.render_process import START_LIMIT_S, RenderProcess, threads_of_one
+from skugga.api.seed.run_spec import RunSpec
+from skugga.terrain.cores import usable_cores
+from skugga.terrain.errors import GraphicsError
 
 MOST_FRUITLESS = 5
 """Starts in a row of processes that end, or hang, before they drew anything: then something is wrong with all of them."""

@@ -9,33 +9,42 @@ from typing import Any
 
 from pmtiles.tile import zxy_to_tileid
 
-from api.device_calibration import calibration
-from api.file_stamps import Stamp, file_stamps, level_version, watched_files
-from api.layers import LAYERS, MapFormat, MapLayer
-from api.matrices import OVERZOOMS, LonLatBounds, ZoomRange, detail_m, extent_off_data, matrix_set_of, tile_limits, zoom_range
-from api.seed.archive import first_tile_id
-from api.seed.identity import digest_of_json, ground_of, level_digest, plan_digest
-from api.seed.reached_ground import ReachedGround
-from api.seed.run_spec import MATRIX_SET, PlannedZoom, RunSpec
-from api.seed.task_table import KeyParts, PlannedTask, TaskTable
-from api.workers.block_tiles import BLOCK_TILES
-from api.workers.drawn_blocks import block_of_grid
-from api.workers.jobs import LevelKey, PictureRequest, RequestedSettings, Tiles
-from api.workers.map_plans import plan_in_service
-from api.workers.plan_basis import PlanBasis
-from api.workers.worker_state import tiles_view
-from selector.kept_probes import load_probes, probes_folder
-from shadows.plan import Plan
-from shadows.render import RENDERER_VERSION
-from terrain.errors import InputError, NoOpenGLError, RenderError, UnsupportedError
-from terrain.geo.grid import tile_grid
-from terrain.geo.world import LONGITUDE_LATITUDE, transformer
-from terrain.gl import device as gl
-from terrain.gl.egl_devices import NO_OPENGL
-from terrain.level.level import LoadedLevel, load_level
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.api.device_calibration import calibration
+from skugga.api.file_stamps import Stamp, file_stamps, level_version, watched_files
+from skugga.api.layers import LAYERS, MapFormat, MapLayer
+from skugga.api.matrices import (
+    OVERZOOMS,
+    LonLatBounds,
+    ZoomRange,
+    detail_m,
+    extent_off_data,
+    matrix_set_of,
+    tile_limits,
+    zoom_range,
+)
+from skugga.api.seed.archive import first_tile_id
+from skugga.api.seed.identity import digest_of_json, ground_of, level_digest, plan_digest
+from skugga.api.seed.reached_ground import ReachedGround
+from skugga.api.seed.run_spec import MATRIX_SET, PlannedZoom, RunSpec
+from skugga.api.seed.task_table import KeyParts, PlannedTask, TaskTable
+from skugga.api.workers.block_tiles import BLOCK_TILES
+from skugga.api.workers.drawn_blocks import block_of_grid
+from skugga.api.workers.jobs import LevelKey, PictureRequest, RequestedSettings, Tiles
+from skugga.api.workers.map_plans import plan_in_service
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.worker_state import tiles_view
+from skugga.selector.kept_probes import load_probes, probes_folder
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import RENDERER_VERSION
+from skugga.terrain.errors import InputError, NoOpenGLError, RenderError, UnsupportedError
+from skugga.terrain.geo.grid import tile_grid
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
+from skugga.terrain.gl import device as gl
+from skugga.terrain.gl.egl_devices import NO_OPENGL
+from skugga.terrain.level.level import LoadedLevel, load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 
 UNKNOWN_TASK_S = 0.25
 """Seconds that a whole task may take of which nothing is known; with a prediction ..."""

@@ -11,17 +11,17 @@ from typing import Any, Literal, cast
 
 from pmtiles.tile import tileid_to_zxy
 
-from api.catalogue import ARCHIVE_SUFFIX
-from api.errors import BrokenShardError
-from api.file_stamps import file_stamps
-from api.seed.archive import ArchiveFacts, ShardIndex, write_archive
-from api.seed.planning import PlannedRun
-from api.seed.run_spec import MATRIX_SET
-from api.seed.running import shard_name
-from api.seed.storage import ShardStore
-from api.seed.task_table import LOST, TaskTable
-from terrain.errors import InputError
-from terrain.whole_files import forget_halves, write_whole
+from skugga.api.catalogue import ARCHIVE_SUFFIX
+from skugga.api.errors import BrokenShardError
+from skugga.api.file_stamps import file_stamps
+from skugga.api.seed.archive import ArchiveFacts, ShardIndex, write_archive
+from skugga.api.seed.planning import PlannedRun
+from skugga.api.seed.run_spec import MATRIX_SET
+from skugga.api.seed.running import shard_name
+from skugga.api.seed.storage import ShardStore
+from skugga.api.seed.task_table import LOST, TaskTable
+from skugga.terrain.errors import InputError
+from skugga.terrain.whole_files import forget_halves, write_whole
 
 MANIFEST = "tiles.json"
 """Of a folder of tiles: its TileJSON. It is written last: where it is, the folder is whole."""

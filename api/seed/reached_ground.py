@@ -1,9 +1,9 @@
 """Which chunks of ground the tiles of a block hang on: what they show, and what can throw its shadow there.
 
 A chunk can shade a block if it lies, as the sun sees it, within the block's width, not wholly below its lowest ground, and not
-behind all of it: the rule of ``terrain.casters.reach``, asked of chunks by their own highest ground. So a mountain that was not
-there before counts as soon as it is high enough. It is asked with room to spare for what an algorithm adds to the shadow of ground:
-the sun's disc, the bending of rays and, where depth maps are drawn, the whole patches of casters that they are fitted to.
+behind all of it: the rule of ``skugga.terrain.casters.reach``, asked of chunks by their own highest ground. So a mountain that was
+not there before counts as soon as it is high enough. It is asked with room to spare for what an algorithm adds to the shadow of
+ground: the sun's disc, the bending of rays and, where depth maps are drawn, the whole patches of casters that they are fitted to.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from api.seed.ground_chunks import CHUNK_DIGEST_BYTES, GroundChunks
-from api.workers.drawn_blocks import block_of_grid
-from shadows.ground_pictures import SKY_PASS
-from shadows.plan import Plan
-from shadows.registry import ALGORITHMS
-from shadows.visibility import with_apparent_sun
-from terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS
-from terrain.gbuffer.covered_nodes import is_bare
-from terrain.geo.grid import BLOCK_PX, Grid
-from terrain.geo.light_space import LightSpace, light_space
-from terrain.geo.world import transformer
-from terrain.ground.elevation import FILL_CELLS
-from terrain.ground.sky_view_factor import sky_view
-from terrain.ground.surface import map_pixel_m
-from terrain.scene import Scene
+from skugga.api.seed.ground_chunks import CHUNK_DIGEST_BYTES, GroundChunks
+from skugga.api.workers.drawn_blocks import block_of_grid
+from skugga.shadows.ground_pictures import SKY_PASS
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import ALGORITHMS
+from skugga.shadows.visibility import with_apparent_sun
+from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS
+from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.geo.grid import BLOCK_PX, Grid
+from skugga.terrain.geo.light_space import LightSpace, light_space
+from skugga.terrain.geo.world import transformer
+from skugga.terrain.ground.elevation import FILL_CELLS
+from skugga.terrain.ground.sky_view_factor import sky_view
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.scene import Scene
 
 WHOLE_LEVEL = frozenset({"clouds", "lamps"})
 """Effects by which a picture hangs on ground anywhere."""

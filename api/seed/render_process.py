@@ -18,23 +18,25 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from api.seed.messages import Begin, Begun, Drawn, NotBegun, NotDrawn, Task
-from api.seed.storage import store_at
-from terrain.compiling.ahead import compile_ahead
-from terrain.compiling.hooks import compiled_by
-from terrain.cores import usable_cores
-from terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
-from terrain.gl.egl_devices import take_turn
-from terrain.level.gdal_guard import forbid_code
+from skugga.api.seed.messages import Begin, Begun, Drawn, NotBegun, NotDrawn, Task
+from skugga.api.seed.storage import store_at
+from skugga.terrain.compiling.ahead import compile_ahead
+from skugga.terrain.compiling.hooks import compiled_by
+from skugga.terrain.cores import usable_cores
+from skugga.terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
+from skugga.terrain.gl.egl_devices import take_turn
+from skugga.terrain.level.gdal_guard import forbid_code
 
 if TYPE_CHECKING:
-    from api.seed.drawing import Drawer
-    from api.seed.run_spec import RunSpec
+    from skugga.api.seed.drawing import Drawer
+    from skugga.api.seed.run_spec import RunSpec
 
 START_LIMIT_S = 600.0
 """After so long a process counts as hung that has been told which run to draw for, and is not ready: where nobody has compiled its
 loops yet that takes minutes.
 """
+
+DRAW_TASKS = "import sys; from skugga.api.seed.render_process import draw_tasks; draw_tasks(*map(int, sys.argv[1:]))"
 
 DIED = "its render process ended in the middle of it"
 
@@ -55,7 +57,7 @@ class RenderProcess:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", f"from api.seed.render_process import draw_tasks; draw_tasks({theirs.fileno()}, {number})"],
+                [sys.executable, "-c", DRAW_TASKS, str(theirs.fileno()), str(number)],
                 pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, env={**os.environ, **environment},
             )  # fmt: skip
         self.connection = Connection(ours.detach())
@@ -137,9 +139,9 @@ def draw_tasks(descriptor: int, number: int = 0) -> None:
 
 
 def _draw_until_closed(connection: Connection) -> None:
-    from api.seed.drawing import Drawer  # what draws: here alone, and while nobody waits yet
-    from api.seed.run_spec import RunSpec
-    from api.workers.warm_up import warm_up
+    from skugga.api.seed.drawing import Drawer  # what draws: here alone, and while nobody waits yet
+    from skugga.api.seed.run_spec import RunSpec
+    from skugga.api.workers.warm_up import warm_up
 
     try:
         try:

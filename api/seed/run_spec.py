@@ -6,11 +6,11 @@ from functools import cached_property
 
 from pydantic import BaseModel, ConfigDict
 
-from api.layers import MapFormat, MapLayer
-from api.workers.jobs import PictureRequest, RequestedSettings
-from shadows.plan import Plan
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
+from skugga.api.layers import MapFormat, MapLayer
+from skugga.api.workers.jobs import PictureRequest, RequestedSettings
+from skugga.shadows.plan import Plan
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
 
 MATRIX_SET = "WebMercatorQuad"
 """The tile matrix set of pyramids: archives of tiles know no other."""

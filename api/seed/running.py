@@ -7,11 +7,11 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from api.seed.local_pool import Runner
-from api.seed.messages import LEAST_LIMIT_S, Drawn, NotDrawn, Task
-from api.seed.planning import PlannedRun
-from api.seed.task_table import TaskTable
-from terrain.errors import RenderError
+from skugga.api.seed.local_pool import Runner
+from skugga.api.seed.messages import LEAST_LIMIT_S, Drawn, NotDrawn, Task
+from skugga.api.seed.planning import PlannedRun
+from skugga.api.seed.task_table import TaskTable
+from skugga.terrain.errors import RenderError
 
 MOST_DEATHS = 3
 """How often a task is begun of which workers die."""

@@ -7,16 +7,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from api.errors import BrokenShardError
-from api.seed.local_pool import Runner
-from api.seed.messages import LEAST_LIMIT_S
-from api.seed.planning import PlannedRun
-from api.seed.publishing import publish
-from api.seed.running import TaskEnd, run_tasks, shard_name
-from api.seed.storage import ShardStore, check_writable
-from api.seed.task_table import LOST, TaskTable
-from terrain.errors import InputError, RenderError
-from terrain.whole_files import write_whole
+from skugga.api.errors import BrokenShardError
+from skugga.api.seed.local_pool import Runner
+from skugga.api.seed.messages import LEAST_LIMIT_S
+from skugga.api.seed.planning import PlannedRun
+from skugga.api.seed.publishing import publish
+from skugga.api.seed.running import TaskEnd, run_tasks, shard_name
+from skugga.api.seed.storage import ShardStore, check_writable
+from skugga.api.seed.task_table import LOST, TaskTable
+from skugga.terrain.errors import InputError, RenderError
+from skugga.terrain.whole_files import write_whole
 
 TIMES_PUBLISHED = 5
 """How often broken shards are drawn anew before the run gives up."""

@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
-from terrain.errors import InputError, RenderError
+from skugga.terrain.errors import InputError, RenderError
 
 
 class ShardStore(Protocol):

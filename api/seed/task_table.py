@@ -12,9 +12,9 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from api.seed.messages import Drawn
-from terrain.errors import InputError, RenderError
-from terrain.whole_files import disk_error
+from skugga.api.seed.messages import Drawn
+from skugga.terrain.errors import InputError, RenderError
+from skugga.terrain.whole_files import disk_error
 
 FORMAT = 1
 """Of the table: one that is of another is refused."""

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
-from api.errors import LaterError
-from api.settings import Settings
-from api.workers.job_queue import JobQueue
-from api.workers.jobs import BlockJob, Job, MapJob, SunHoursJob
+from skugga.api.errors import LaterError
+from skugga.api.settings import Settings
+from skugga.api.workers.job_queue import JobQueue
+from skugga.api.workers.jobs import BlockJob, Job, MapJob, SunHoursJob
 
 TILE_SIDE_PX = 1024
 """A map that is no larger is a tile of clients that tile maps of any extent (WMS)."""

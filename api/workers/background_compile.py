@@ -8,9 +8,9 @@ import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from api.exhaustion import in_thread
-from api.workers.jobs import Preparing
-from terrain.compiling.ahead import PRODUCTS, Progress, compile_ahead
+from skugga.api.exhaustion import in_thread
+from skugga.api.workers.jobs import Preparing
+from skugga.terrain.compiling.ahead import PRODUCTS, Progress, compile_ahead
 
 AGAIN_S = 60.0
 """How long after a failure it is begun again at the earliest."""

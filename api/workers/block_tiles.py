@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from PIL import Image
 
-from api.layers import LAYERS, LOSSY_QUALITY, MapFormat, encode_picture, encoded_heights, geotiff, map_layer, npy
-from api.sun_hours_layer import SUN_HOURS_LAYER
-from terrain.cache import MIB, cached
-from terrain.errors import InputError
-from terrain.geo.grid import BLOCK_PX, TILE_PX, MapView
+from skugga.api.layers import LAYERS, LOSSY_QUALITY, MapFormat, encode_picture, encoded_heights, geotiff, map_layer, npy
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.grid import BLOCK_PX, TILE_PX, MapView
 
 BLOCK_TILES = BLOCK_PX // TILE_PX
 

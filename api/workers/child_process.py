@@ -8,9 +8,9 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any, TypeVar
 
-from api.exhaustion import in_thread
-from api.workers.process_life import JOIN_S, process_end
-from api.workers.spawned import PipedProcess
+from skugga.api.exhaustion import in_thread
+from skugga.api.workers.process_life import JOIN_S, process_end
+from skugga.api.workers.spawned import PipedProcess
 
 T = TypeVar("T")
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from morecantile import tms as matrix_sets
 
-from api.layers import LAYERS
-from api.workers.block_tiles import NOT_ASKED, PicturedBlock
-from shadows.ground_pictures import ShownMap, shown_map
-from shadows.plan import Plan
-from shadows.render import Frame, render_frame
-from terrain.cache import MIB, cached
-from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
-from terrain.scene import Scene
+from skugga.api.layers import LAYERS
+from skugga.api.workers.block_tiles import NOT_ASKED, PicturedBlock
+from skugga.shadows.ground_pictures import ShownMap, shown_map
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import Frame, render_frame
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
+from skugga.terrain.scene import Scene
 
 
 @cached("process", MIB, size_of=lambda _: 512)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 
-from api.workers.jobs import (
+from skugga.api.workers.jobs import (
     BlockJob,
     DescribedPlanJob,
     DescriptorJob,
@@ -18,7 +18,7 @@ from api.workers.jobs import (
     SnapshotJob,
     SunHoursJob,
 )
-from terrain.cache import MIB, Cache, Missing
+from skugga.terrain.cache import MIB, Cache, Missing
 
 FIRST_GUESS_S: dict[type, float] = {
     BlockJob: 0.5, SunHoursJob: 3.0, PlanJob: 0.5, DescribedPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, MapJob: 2.5,
@@ -45,7 +45,7 @@ class ExpectedTimes:
     """
 
     def __init__(self) -> None:
-        self._seconds: Cache[float] = Cache("api.workers.expected_times", "process", MIB, lambda _: 512)
+        self._seconds: Cache[float] = Cache("skugga.api.workers.expected_times", "process", MIB, lambda _: 512)
 
     def of(self, job: Job) -> float:
         """Seconds that a job is expected to take."""

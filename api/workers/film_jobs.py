@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from api.workers.jobs import CarriedPlans, Film, FilmCheckJob, FilmPicture, FrameJob
-from api.workers.map_plans import plans_in_service
-from api.workers.plan_basis import PlanBasis
-from selector.film import FrameMoment, film_frames, frame_moments
-from selector.replanning import Replanner
-from shadows.plan import Plan
-from terrain.describe import describe
-from terrain.scene import Scene
+from skugga.api.workers.jobs import CarriedPlans, Film, FilmCheckJob, FilmPicture, FrameJob
+from skugga.api.workers.map_plans import plans_in_service
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.selector.film import FrameMoment, film_frames, frame_moments
+from skugga.selector.replanning import Replanner
+from skugga.shadows.plan import Plan
+from skugga.terrain.describe import describe
+from skugga.terrain.scene import Scene
 
 
 def first_plan(job: FilmCheckJob, scene: Scene, basis: PlanBasis) -> tuple[Plan, FrameMoment]:

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from api.workers.idle_work import IdleJob, IdleWork
-from selector.cost.device_profile import digest_of, load_profile, profile_path, save_profile
+from skugga.api.workers.idle_work import IdleJob, IdleWork
+from skugga.selector.cost.device_profile import digest_of, load_profile, profile_path, save_profile
 
 if TYPE_CHECKING:
-    from selector.cost.device_profile import DeviceProfile
+    from skugga.selector.cost.device_profile import DeviceProfile
 
 CHECK_EVERY_S = 2.0
 """How often it is looked whether the calibration's file has changed."""
@@ -28,7 +28,7 @@ log = logging.getLogger("skugga")
 
 def measured_profile() -> DeviceProfile:
     """Calibrate this process's device. Raises ``GraphicsError``."""
-    from selector.cost.calibration import calibrate
+    from skugga.selector.cost.calibration import calibrate
 
     return calibrate()
 

@@ -10,15 +10,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from api.workers.idle_work import IdleJob, IdleWork
-from api.workers.jobs import LevelKey
-from selector.kept_probes import load_probes, probes_folder, save_probes
-from selector.map_probes import MapClass, MapProbes
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.api.workers.idle_work import IdleJob, IdleWork
+from skugga.api.workers.jobs import LevelKey
+from skugga.selector.kept_probes import load_probes, probes_folder, save_probes
+from skugga.selector.map_probes import MapClass, MapProbes
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 
 if TYPE_CHECKING:
-    from selector.cost.device_profile import DeviceProfile
+    from skugga.selector.cost.device_profile import DeviceProfile
 
 BUDGET_S = 10.0
 """Time of a probe of one scale: nobody waits for it."""
@@ -34,7 +34,7 @@ log = logging.getLogger("skugga")
 
 def probed_level(level: LevelKey, sun: int, device: DeviceProfile) -> MapProbes:
     """Probe a level's maps of all scales under the sun of a class. Raises ``SkuggaError``."""
-    from api.map_probing import probe_maps, under_class_sun
+    from skugga.api.map_probing import probe_maps, under_class_sun
 
     scene = build_scene(load_level(level))
     try:

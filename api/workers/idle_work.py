@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
-from api.workers.child_process import ChildProcess
-from api.workers.process_life import give_way
-from api.workers.spawned import PipedProcess
-from terrain.compiling.parent_process import end_with_parent
-from terrain.errors import SkuggaError
+from skugga.api.workers.child_process import ChildProcess
+from skugga.api.workers.process_life import give_way
+from skugga.api.workers.spawned import PipedProcess
+from skugga.terrain.compiling.parent_process import end_with_parent
+from skugga.terrain.errors import SkuggaError
 
 QUIET_S = 5.0
 """How long nothing has to have waited or run before idle work begins, or goes on."""

@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from api.workers.expected_times import ExpectedTimes, kind_of_job
-from api.workers.jobs import Answer, Job
+from skugga.api.workers.expected_times import ExpectedTimes, kind_of_job
+from skugga.api.workers.jobs import Answer, Job
 
 BEHIND_S = 20.0
 """By how much later than it did a background job is taken to have come: whoever asks for a picture meanwhile goes first. Under a

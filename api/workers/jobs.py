@@ -10,22 +10,22 @@ from urllib.parse import urlencode
 import numpy as np
 from pydantic import BaseModel, ConfigDict, InstanceOf, field_validator
 
-from api.errors import OUTCOMES
-from api.layers import MapFormat, MapLayer, PictureFormat, ViewLayer
-from api.point.values import PointQuery, TrackPoint
-from api.sun_hours_layer import SunHoursQuery
-from selector.film_request import FilmRequest, FilmSpan
-from terrain.errors import InputError, RenderError, SkuggaError
-from terrain.level.camera_file import CameraPathSpec
-from terrain.level.level import Shadows, override, parse_algorithm
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import PerspectiveSpec, SlopeExaggeration, StyleName, SunSpec
+from skugga.api.errors import OUTCOMES
+from skugga.api.layers import MapFormat, MapLayer, PictureFormat, ViewLayer
+from skugga.api.point.values import PointQuery, TrackPoint
+from skugga.api.sun_hours_layer import SunHoursQuery
+from skugga.selector.film_request import FilmRequest, FilmSpan
+from skugga.terrain.errors import InputError, RenderError, SkuggaError
+from skugga.terrain.level.camera_file import CameraPathSpec
+from skugga.terrain.level.level import Shadows, override, parse_algorithm
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import PerspectiveSpec, SlopeExaggeration, StyleName, SunSpec
 
 if TYPE_CHECKING:
-    from selector.cost.device_profile import DeviceProfile
-    from selector.map_probes import MapClass
-    from selector.replanning import PlanState
-    from terrain.scene import Scene
+    from skugga.selector.cost.device_profile import DeviceProfile
+    from skugga.selector.map_probes import MapClass
+    from skugga.selector.replanning import PlanState
+    from skugga.terrain.scene import Scene
 
 ServedPolicy = Literal["rules", "predict"]
 """Policies that a request may name; ``measure`` takes minutes, at design time."""
@@ -57,7 +57,7 @@ class RequestedSettings(_Value):
         return asked
 
     def for_selector(self) -> dict[str, Any]:
-        """As policies of ``selector.select`` take them."""
+        """As policies of ``skugga.selector.select`` take them."""
         return _unspelt(self.asked)
 
 
@@ -312,7 +312,7 @@ class BlockTiles:
 
     ``headline`` are the plan's algorithms as in overrides; ``passes`` are names with milliseconds; the caster reach is in metres,
     ``None`` where each of many suns had its own; ``renderer`` drew it, by plans of a version (``PlanBasis``). ``unprobed`` is
-    the class of a map whose plan goes by predictions alone (``api.workers.map_plans``).
+    the class of a map whose plan goes by predictions alone (``skugga.api.workers.map_plans``).
     """
 
     tiles: dict[tuple[int, int], bytes]

@@ -9,18 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from api.layers import LAYERS, HeightEncoding, encoded_heights, map_layer, nodata_height_m
-from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
-from api.workers.block_tiles import empty_layer, encode
-from api.workers.jobs import MapJob
-from shadows.passes import PassRecord
-from shadows.plan import Plan
-from shadows.registry import NO_SHADOWS
-from shadows.render import render_frame
-from terrain.casters.reach import NO_CASTERS, Reach
-from terrain.casters.slopes import extent_on_grid
-from terrain.geo.grid import BLOCK_PX, MapView, blocks_of, map_view
-from terrain.scene import Scene
+from skugga.api.layers import LAYERS, HeightEncoding, encoded_heights, map_layer, nodata_height_m
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
+from skugga.api.workers.block_tiles import empty_layer, encode
+from skugga.api.workers.jobs import MapJob
+from skugga.shadows.passes import PassRecord
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import NO_SHADOWS
+from skugga.shadows.render import render_frame
+from skugga.terrain.casters.reach import NO_CASTERS, Reach
+from skugga.terrain.casters.slopes import extent_on_grid
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of, map_view
+from skugga.terrain.scene import Scene
 
 HEIGHTS = "heights"
 """What a picture of heights says that drew it."""
@@ -86,7 +86,7 @@ def drawn_map(scene: Scene, job: MapJob, plan_of: Callable[[Hashable, MapView], 
 
 def heights_picture(scene: Scene, view: MapView, encoding: HeightEncoding, shown: bool = True) -> np.ndarray:
     """The heights of a map's ground in an encoding; of one that is not ``shown``, of none. Holes are filled as they
-    are for casting shadows; off the data the height is that of ``api.layers.nodata_height_m``.
+    are for casting shadows; off the data the height is that of ``skugga.api.layers.nodata_height_m``.
     """
     nodes, height_m = view.as_nodes(), np.full((view.rows, view.cols), np.nan, np.float32)
     surface = scene.surface(nodes.grid)

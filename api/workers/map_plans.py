@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from api.workers.jobs import LevelKey
-from api.workers.plan_basis import PlanBasis
-from selector.map_probes import PROBED_FOR, MapClass, map_class
-from selector.select import plan_of_view, select
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.ground.surface import map_pixel_m
+from skugga.api.workers.jobs import LevelKey
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.selector.map_probes import PROBED_FOR, MapClass, map_class
+from skugga.selector.select import plan_of_view, select
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.surface import map_pixel_m
 
 if TYPE_CHECKING:
-    from selector.choices import PlanRequest, PolicyName
-    from selector.replanning import PlanFunction
-    from selector.seen import Seen
-    from shadows.plan import Plan
-    from terrain.facts.descriptor import Descriptor
-    from terrain.scene import Scene
+    from skugga.selector.choices import PlanRequest, PolicyName
+    from skugga.selector.replanning import PlanFunction
+    from skugga.selector.seen import Seen
+    from skugga.shadows.plan import Plan
+    from skugga.terrain.facts.descriptor import Descriptor
+    from skugga.terrain.scene import Scene
 
 
 def plan_in_service(

@@ -8,19 +8,19 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from api.workers.jobs import LevelKey
-from selector.cost.device_profile import digest_of
-from terrain.cache import MIB, cached
+from skugga.api.workers.jobs import LevelKey
+from skugga.selector.cost.device_profile import digest_of
+from skugga.terrain.cache import MIB, cached
 
 if TYPE_CHECKING:
-    from selector.cost.device_profile import DeviceProfile
-    from selector.map_probes import MapProbes
+    from skugga.selector.cost.device_profile import DeviceProfile
+    from skugga.selector.map_probes import MapProbes
 
 
 @dataclass(frozen=True)
 class PlanBasis:
     """The device's calibration, and by versions of levels what was ``probed`` for each alone, as JSON of
-    ``selector.map_probes.MapProbes``. A value: another one takes its place.
+    ``skugga.selector.map_probes.MapProbes``. A value: another one takes its place.
     """
 
     device: DeviceProfile | None = None
@@ -51,6 +51,6 @@ class PlanBasis:
 
 @cached("process", 4 * MIB)
 def _probes(text: str) -> MapProbes:
-    from selector.map_probes import MapProbes
+    from skugga.selector.map_probes import MapProbes
 
     return MapProbes.model_validate_json(text)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from api.point.horizon_formats import directions_for, horizon_file
-from api.point.polar_picture import sky_picture
-from api.point.report import around_point, clock_asked, day_asked, report_or_null
-from api.point.sky_figures import sky_figures
-from api.point.track import sun_at_points
-from api.workers.jobs import PointAnswer, PointJob, PointsJob
-from shadows.point.horizon import horizon_round
-from terrain.scene import Scene
+from skugga.api.point.horizon_formats import directions_for, horizon_file
+from skugga.api.point.polar_picture import sky_picture
+from skugga.api.point.report import around_point, clock_asked, day_asked, report_or_null
+from skugga.api.point.sky_figures import sky_figures
+from skugga.api.point.track import sun_at_points
+from skugga.api.workers.jobs import PointAnswer, PointJob, PointsJob
+from skugga.shadows.point.horizon import horizon_round
+from skugga.terrain.scene import Scene
 
 
 def point_answer(job: PointJob, scene: Scene) -> PointAnswer:

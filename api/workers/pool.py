@@ -12,16 +12,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from api.errors import ExhaustedError, LaterError, SetAsideError, WorkerCrashError, WorkerStartError
-from api.exhaustion import exhausted_error, in_thread
-from api.settings import Settings
-from api.workers.admission import check_admission, retry_after_s
-from api.workers.background_compile import BackgroundCompile
-from api.workers.idle_calibration import IdleCalibration, measured_profile
-from api.workers.idle_probes import IdleProbes, Probe, probed_level
-from api.workers.idle_work import IdleWork
-from api.workers.job_queue import JobQueue, PendingJob
-from api.workers.jobs import (
+from skugga.api.errors import ExhaustedError, LaterError, SetAsideError, WorkerCrashError, WorkerStartError
+from skugga.api.exhaustion import exhausted_error, in_thread
+from skugga.api.settings import Settings
+from skugga.api.workers.admission import check_admission, retry_after_s
+from skugga.api.workers.background_compile import BackgroundCompile
+from skugga.api.workers.idle_calibration import IdleCalibration, measured_profile
+from skugga.api.workers.idle_probes import IdleProbes, Probe, probed_level
+from skugga.api.workers.idle_work import IdleWork
+from skugga.api.workers.job_queue import JobQueue, PendingJob
+from skugga.api.workers.jobs import (
     Answer,
     BlockJob,
     BlockTiles,
@@ -36,20 +36,20 @@ from api.workers.jobs import (
     Result,
     Snapshot,
 )
-from api.workers.plan_basis import PlanBasis
-from api.workers.process_life import is_stopped
-from api.workers.set_aside import SetAside
-from api.workers.spawned import Spawned, WorkerTarget
-from api.workers.worker_config import first_config
-from api.workers.worker_main import worker_main
-from api.workers.worker_process import WorkerProcess
-from terrain.cache import Cache, Missing
-from terrain.cores import usable_cores
-from terrain.errors import BusyError, GraphicsError, RenderTimeoutError, SkuggaError
-from terrain.gl.egl_devices import NO_OPENGL
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.process_life import is_stopped
+from skugga.api.workers.set_aside import SetAside
+from skugga.api.workers.spawned import Spawned, WorkerTarget
+from skugga.api.workers.worker_config import first_config
+from skugga.api.workers.worker_main import worker_main
+from skugga.api.workers.worker_process import WorkerProcess
+from skugga.terrain.cache import Cache, Missing
+from skugga.terrain.cores import usable_cores
+from skugga.terrain.errors import BusyError, GraphicsError, RenderTimeoutError, SkuggaError
+from skugga.terrain.gl.egl_devices import NO_OPENGL
 
 if TYPE_CHECKING:
-    from selector.cost.device_profile import DeviceProfile
+    from skugga.selector.cost.device_profile import DeviceProfile
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 """Pause before a second start in a row that follows a failure; it doubles from there."""
@@ -114,7 +114,7 @@ class Pool:
         # Twice as many: a process that cannot be killed keeps its thread, and another one takes its place.
         self._threads = ThreadPoolExecutor(2 * settings.workers, "skugga-pipe")
         self._finished: Cache[BlockTiles | Snapshot] = Cache(
-            "api.workers.finished", "process", settings.block_cache_bytes, lambda drawn: drawn.nbytes
+            "skugga.api.workers.finished", "process", settings.block_cache_bytes, lambda drawn: drawn.nbytes
         )
         self._flights: dict[Job, PendingJob] = {}
         self._queue = JobQueue(settings.workers)

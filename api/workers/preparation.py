@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 from datetime import UTC, datetime
 
-from api.workers.jobs import BlockJob
-from api.workers.worker_state import WorkerState, plan_of_tiles
-from shadows.ground_pictures import SKY_PASS
-from terrain.errors import SkuggaError
-from terrain.geo.sun import apparent_position
-from terrain.ground.sky_view_factor import sky_view
+from skugga.api.workers.jobs import BlockJob
+from skugga.api.workers.worker_state import WorkerState, plan_of_tiles
+from skugga.shadows.ground_pictures import SKY_PASS
+from skugga.terrain.errors import SkuggaError
+from skugga.terrain.geo.sun import apparent_position
+from skugga.terrain.ground.sky_view_factor import sky_view
 
 log = logging.getLogger("skugga.worker")
 

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from api.device_calibration import calibration
-from api.layers import LAYERS, PASS_LAYERS, encode_picture, frame_layer, viewable
-from api.picture_cost import check_cost
-from api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
-from api.workers.block_tiles import cut_tiles, encoded_tiles
-from api.workers.drawn_blocks import drawn_block
-from api.workers.film_jobs import film_picture, first_plan
-from api.workers.jobs import (
+from skugga.api.device_calibration import calibration
+from skugga.api.layers import LAYERS, PASS_LAYERS, encode_picture, frame_layer, viewable
+from skugga.api.picture_cost import check_cost
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
+from skugga.api.workers.block_tiles import cut_tiles, encoded_tiles
+from skugga.api.workers.drawn_blocks import drawn_block
+from skugga.api.workers.film_jobs import film_picture, first_plan
+from skugga.api.workers.jobs import (
     Answer,
     BlockJob,
     BlockTiles,
@@ -52,36 +52,36 @@ from api.workers.jobs import (
     SunHoursJob,
     Tiles,
 )
-from api.workers.map_jobs import HEIGHTS, drawn_map, heights_picture
-from api.workers.map_plans import plan_in_service, unprobed_class
-from api.workers.plan_basis import PlanBasis
-from api.workers.point_jobs import point_answer, points_answer
-from api.workers.preparation import import_pvlib, prepare_level
-from api.workers.process_life import stand_back
-from api.workers.worker_config import WorkerConfig
-from api.workers.worker_state import MAX_SCENES, WorkerState, block_view, plan_of_tiles, tiles_view
-from selector.choices import StandaloneRequest
-from selector.select import select
-from shadows.ground_pictures import ShownMap
-from shadows.plan import Plan
-from shadows.render import Frame, render_frame
-from terrain.cache import Missing
-from terrain.compiled import CORES
-from terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS, compile_ahead
-from terrain.compiling.farm import missing_tasks
-from terrain.compiling.hooks import compiled_by, need
-from terrain.compiling.loop_cache import loop_store
-from terrain.compiling.parent_process import end_with_parent
-from terrain.describe import describe
-from terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.covered_nodes import is_bare
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView
-from terrain.gl import device as gl
-from terrain.gl.egl_devices import take_turn
-from terrain.level.level import SUN, Shadows
-from terrain.scene import Scene
+from skugga.api.workers.map_jobs import HEIGHTS, drawn_map, heights_picture
+from skugga.api.workers.map_plans import plan_in_service, unprobed_class
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.point_jobs import point_answer, points_answer
+from skugga.api.workers.preparation import import_pvlib, prepare_level
+from skugga.api.workers.process_life import stand_back
+from skugga.api.workers.worker_config import WorkerConfig
+from skugga.api.workers.worker_state import MAX_SCENES, WorkerState, block_view, plan_of_tiles, tiles_view
+from skugga.selector.choices import StandaloneRequest
+from skugga.selector.select import select
+from skugga.shadows.ground_pictures import ShownMap
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import Frame, render_frame
+from skugga.terrain.cache import Missing
+from skugga.terrain.compiled import CORES
+from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS, compile_ahead
+from skugga.terrain.compiling.farm import missing_tasks
+from skugga.terrain.compiling.hooks import compiled_by, need
+from skugga.terrain.compiling.loop_cache import loop_store
+from skugga.terrain.compiling.parent_process import end_with_parent
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import GraphicsError, NoOpenGLError, RenderError, SkuggaError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import BLOCK_PX, MapView
+from skugga.terrain.gl import device as gl
+from skugga.terrain.gl.egl_devices import take_turn
+from skugga.terrain.level.level import SUN, Shadows
+from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
     pass
@@ -248,7 +248,7 @@ def run_worker(pipe: Connection, config: WorkerConfig) -> None:
     stand_back()
     os.environ.setdefault("LP_NUM_THREADS", str(config.gl_threads))
     take_turn(config.number)
-    from api.workers.warm_up import warm_up
+    from skugga.api.workers.warm_up import warm_up
 
     def say(task: str, done: int = 0, total: int = 0) -> None:
         pipe.send(Preparing(task, done, total))

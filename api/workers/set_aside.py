@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 
-from api.workers.expected_times import kind_of_job
-from api.workers.jobs import BlockJob, DescribedPlanJob, DescriptorJob, Job, PlanJob
-from terrain.cache import MIB, Cache, Missing
+from skugga.api.workers.expected_times import kind_of_job
+from skugga.api.workers.jobs import BlockJob, DescribedPlanJob, DescriptorJob, Job, PlanJob
+from skugga.terrain.cache import MIB, Cache, Missing
 
 FAILURES = 2
 """Failures in a row after which a kind is set aside."""
@@ -33,7 +33,7 @@ class SetAside:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._records: Cache[_Record] = Cache("api.workers.set_aside", "process", MIB, lambda _: 512)
+        self._records: Cache[_Record] = Cache("skugga.api.workers.set_aside", "process", MIB, lambda _: 512)
 
     def seconds_left(self, job: Job) -> float:
         """How long a job is set aside yet; 0: it is not."""

@@ -7,8 +7,8 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
 
-from api.workers.process_life import JOIN_S
-from api.workers.worker_config import WorkerConfig
+from skugga.api.workers.process_life import JOIN_S
+from skugga.api.workers.worker_config import WorkerConfig
 
 WorkerTarget = Callable[[Connection, WorkerConfig], None]
 

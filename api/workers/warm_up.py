@@ -12,17 +12,17 @@ from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 
-from selector.select import plan_of_view
-from shadows.registry import FALLBACK
-from shadows.render import render_frame
-from terrain.compiling.ahead import MAPS
-from terrain.compiling.hooks import need
-from terrain.errors import GraphicsError, NoOpenGLError
-from terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
-from terrain.gl import device as gl
-from terrain.gl.egl_devices import NO_OPENGL
-from terrain.level.level import Level, LoadedLevel
-from terrain.scene import Scene, build_scene
+from skugga.selector.select import plan_of_view
+from skugga.shadows.registry import FALLBACK
+from skugga.shadows.render import render_frame
+from skugga.terrain.compiling.ahead import MAPS
+from skugga.terrain.compiling.hooks import need
+from skugga.terrain.errors import GraphicsError, NoOpenGLError
+from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView, tile_grid
+from skugga.terrain.gl import device as gl
+from skugga.terrain.gl.egl_devices import NO_OPENGL
+from skugga.terrain.level.level import Level, LoadedLevel
+from skugga.terrain.scene import Scene, build_scene
 
 WARM_UP_CELL_M, CELLS, WALL_HEIGHT_M = 30.0, 64, 300.0
 """A plain of 64 x 64 cells with a wall from north to south in its middle."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from api.settings import Settings
-from terrain.cores import usable_cores
+from skugga.api.settings import Settings
+from skugga.terrain.cores import usable_cores
 
 if TYPE_CHECKING:
-    from api.workers.plan_basis import PlanBasis
+    from skugga.api.workers.plan_basis import PlanBasis
 
 
 @dataclass(frozen=True)

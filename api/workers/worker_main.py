@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from multiprocessing.connection import Connection
 
-from api.workers.worker_config import WorkerConfig
+from skugga.api.workers.worker_config import WorkerConfig
 
 
 def worker_main(pipe: Connection, config: WorkerConfig) -> None:
     """Run a render process: answer jobs until the pipe is closed."""
-    from api.workers.render_worker import run_worker
+    from skugga.api.workers.render_worker import run_worker
 
     run_worker(pipe, config)

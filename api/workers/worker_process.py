@@ -8,14 +8,14 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any, TypeVar
 
-from api.errors import ExhaustedError, WorkerCrashError, WorkerStartError
-from api.exhaustion import exhausted_error
-from api.workers.child_process import ChildProcess
-from api.workers.jobs import Answer, BlockJob, Failure, Job, Ping, Preparing, Ready
-from api.workers.plan_basis import PlanBasis
-from api.workers.process_life import is_stopped
-from api.workers.spawned import Spawned
-from terrain.errors import RenderTimeoutError
+from skugga.api.errors import ExhaustedError, WorkerCrashError, WorkerStartError
+from skugga.api.exhaustion import exhausted_error
+from skugga.api.workers.child_process import ChildProcess
+from skugga.api.workers.jobs import Answer, BlockJob, Failure, Job, Ping, Preparing, Ready
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.process_life import is_stopped
+from skugga.api.workers.spawned import Spawned
+from skugga.terrain.errors import RenderTimeoutError
 
 MOST_SAID = 300
 """Characters of a job in the log: descriptors are long."""

@@ -6,28 +6,28 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from api.workers.block_tiles import PicturedBlock
-from api.workers.drawn_blocks import block_of_grid, grid_of_zoom
-from api.workers.jobs import (
+from skugga.api.workers.block_tiles import PicturedBlock
+from skugga.api.workers.drawn_blocks import block_of_grid, grid_of_zoom
+from skugga.api.workers.jobs import (
     BlockJob,
     LevelKey,
     SunHoursJob,
     Tiles,
 )
-from api.workers.map_plans import plan_in_service
-from api.workers.plan_basis import PlanBasis
-from api.workers.process_life import resident_bytes
-from shadows.plan import Plan
-from terrain.cache import MIB, Cache, Missing
-from terrain.casters.slopes import extent_on_grid
-from terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS
-from terrain.compiling.hooks import need
-from terrain.geo.grid import BLOCK_PX, MapView
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.workers.map_plans import plan_in_service
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.process_life import resident_bytes
+from skugga.shadows.plan import Plan
+from skugga.terrain.cache import MIB, Cache, Missing
+from skugga.terrain.casters.slopes import extent_on_grid
+from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS
+from skugga.terrain.compiling.hooks import need
+from skugga.terrain.geo.grid import BLOCK_PX, MapView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 
 if TYPE_CHECKING:
-    from selector.cost.device_profile import DeviceProfile
+    from skugga.selector.cost.device_profile import DeviceProfile
 
 MAX_SCENES = 16
 """Levels that a process keeps open: an overview (some MB), a file handle, trees and meshes (up to hundreds of MB) each."""
@@ -51,7 +51,7 @@ class SceneCache:
     def __init__(self, limit: int = MAX_SCENES, process_bytes: Callable[[], int] = resident_bytes) -> None:
         self._process_bytes = process_bytes
         self._scenes: Cache[tuple[str, Scene]] = Cache(
-            "api.workers.scenes",
+            "skugga.api.workers.scenes",
             "process",
             SCENES_BYTES,
             lambda entry: entry[1].elevation.nbytes,
@@ -81,7 +81,7 @@ class TilePlanCache:
     """Plans of tiles, one for a level's version, zoom and sun and what is asked: neighbours share it, and it is made once."""
 
     def __init__(self, limit_bytes: int = TILE_PLANS_BYTES) -> None:
-        self._plans: Cache[Plan] = Cache("api.workers.tile_plans", "process", limit_bytes)
+        self._plans: Cache[Plan] = Cache("skugga.api.workers.tile_plans", "process", limit_bytes)
 
     def get(self, key: Hashable, make: Callable[[], Plan]) -> Plan:
         """The plan that was made for a key, or is made now."""
@@ -109,7 +109,7 @@ class WorkerState:
     missing_loops: int = 0
     scenes: SceneCache = field(default_factory=SceneCache)
     plans: TilePlanCache = field(default_factory=TilePlanCache)
-    blocks: Cache[DrawnAndFacts] = field(default_factory=lambda: Cache("api.workers.blocks", "process", BLOCKS_BYTES))
+    blocks: Cache[DrawnAndFacts] = field(default_factory=lambda: Cache("skugga.api.workers.blocks", "process", BLOCKS_BYTES))
 
     @property
     def device(self) -> DeviceProfile | None:

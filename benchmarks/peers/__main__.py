@@ -33,7 +33,7 @@ from benchmarks.peers.picture import picture
 from benchmarks.peers.tools import Tool, ToolJob, ToolRun, check_pole, tools_of, write_dem
 from benchmarks.sweep_accuracy import GridRays, GridTruth
 from benchmarks.sweep_speed import CELL_M, _processor, mountains
-from terrain.level.bundled import BUNDLED
+from skugga.terrain.level.bundled import BUNDLED
 
 HERE = Path(__file__).parent
 DOCS = HERE.parents[1] / "docs"

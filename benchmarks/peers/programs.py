@@ -89,7 +89,7 @@ def whitebox(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
 
 def sweep(path: str, height_m: np.ndarray, cell_m: float) -> Ask:
     """Skugga's line sweep, with as many lines a cell as the command line says, on all cores."""
-    from shadows.sweep.grid import sunlit
+    from skugga.shadows.sweep.grid import sunlit
 
     lines, cores = int(sys.argv[6]), os.cpu_count() or 1
     return lambda azimuth_deg, altitude_deg: sunlit(height_m, cell_m, azimuth_deg, altitude_deg, lines=lines, cores=cores)

@@ -140,7 +140,7 @@ def tools_of(python: str) -> list[Tool]:
         return Tool(
             f"Skugga sweep, {lines} line{'s' * (lines > 1)}",
             "running maximum on lines along the sun's azimuth, between cells",
-            [sys.executable, here, "--version", "skugga", "shadows.sweep.grid"],
+            [sys.executable, here, "--version", "skugga", "skugga.shadows.sweep.grid"],
             lambda job: [sys.executable, here, "sweep", str(job.dem), *job.sun, str(job.out), str(lines)],
             lambda values, job: values > 0,
             ours=True,

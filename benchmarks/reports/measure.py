@@ -8,14 +8,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from api.catalogue import find_level
-from api.cli.snapshot import scene_and_view
-from api.report.comparison import about, write_page, write_plot
-from api.report.summary import casts, format_summary
 from benchmarks.reports.scenes import ReportScene
-from selector.measure.compare import Comparison, compare
-from terrain.level.parts import SunSpec
-from terrain.whole_files import write_whole
+from skugga.api.catalogue import find_level
+from skugga.api.cli.snapshot import scene_and_view
+from skugga.api.report.comparison import about, write_page, write_plot
+from skugga.api.report.summary import casts, format_summary
+from skugga.selector.measure.compare import Comparison, compare
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.whole_files import write_whole
 
 MOST_BYTES = 1_000_000
 """Of a published report."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks.selection.judge import GOALS, Goal, GoalInstance
 from benchmarks.selection.page import markdown_table
-from selector.formatting import format_duration, format_list, format_percent
+from skugga.selector.formatting import format_duration, format_list, format_percent
 
 Figures = dict[str, Any]
 

@@ -35,7 +35,7 @@ from benchmarks.seeds.claims import Experiment
 from benchmarks.seeds.devices import Measured, about_devices, add_figures, read_measured, section_of
 from benchmarks.seeds.pictures import write_pictures
 from benchmarks.seeds.verdicts import SAME, whole_percent
-from terrain.gl.device import device
+from skugga.terrain.gl.device import device
 
 EXPERIMENTS = {
     "stages": Experiment(seeds_speed.measure_stages, seeds_speed.section_stages),

@@ -9,11 +9,11 @@ import numpy as np
 from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.verdicts import REPORT, all_of, at_least, at_most, because, factor, listed_by_scene, opposite, percent
 from benchmarks.seeds.views import Asked, ViewWithTruth, bundled, one_map, settings_of, view_with_truth
-from shadows.maps.settings import ShadowMapSettings
-from shadows.maps.windows import sun_maps
-from shadows.passes import PassLog
-from terrain.gbuffer.resolve import RELIEF
-from terrain.level.level import SUN
+from skugga.shadows.maps.settings import ShadowMapSettings
+from skugga.shadows.maps.windows import sun_maps
+from skugga.shadows.passes import PassLog
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.level.level import SUN
 
 LEVELS = {
     "street": ("thesis_street_sun", "main"),
@@ -107,7 +107,7 @@ def _by_formulas(look: ViewWithTruth, size: int) -> dict[str, Any]:
 
 
 def _wrong_cast(look: ViewWithTruth, dark: np.ndarray) -> float:
-    """``shadows.truth.metrics.Errors.wrong_cast`` alone, which takes no distances to find."""
+    """``skugga.shadows.truth.metrics.Errors.wrong_cast`` alone, which takes no distances to find."""
     truth = look.truth
     cast = truth.decidable & ~truth.attached & (dark | ~truth.lit)
     return float((cast & (dark == truth.lit)).sum() / max(cast.sum(), 1))

@@ -13,12 +13,12 @@ from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.spatialace import ENOUGH
 from benchmarks.seeds.verdicts import SPATIALACE, at_most, because, percent, whole_percent
 from benchmarks.seeds.views import ViewWithTruth, one_map, scene_of, settings_of, shallow, view_with_truth
-from shadows.maps.settings import ShadowMapSettings
-from shadows.maps.windows import sun_maps
-from shadows.truth.metrics import boundary
-from terrain.geo.grid import MapView
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.shadows.maps.settings import ShadowMapSettings
+from skugga.shadows.maps.windows import sun_maps
+from skugga.shadows.truth.metrics import boundary
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 
 BITS = (16, 24, 32)
 SUNS = {3: SunSpec(azimuth=205, altitude=3), 30: SunSpec(azimuth=205, altitude=30)}

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.seeds.claims import Claim, Experiment, Figures, Tables, claims_table, markdown
-from terrain.gl.device import Device
+from skugga.terrain.gl.device import Device
 
 DeviceFigures = dict[str, Any]
 """Of a device: whether it is in ``software``, and its ``experiments`` by name."""

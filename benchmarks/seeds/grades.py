@@ -1,6 +1,6 @@
 """J. Sindholt, A comparison of Shadow Algorithms (DTU 2005): its grades (table 2), measured again.
 
-Errors are those against ray-traced truth (``shadows.truth.metrics``).
+Errors are those against ray-traced truth (``skugga.shadows.truth.metrics``).
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from benchmarks.seeds.verdicts import (
     whole_percent,
 )
 from benchmarks.seeds.views import ViewWithTruth, bundled, with_truth
-from terrain.describe import describe
-from terrain.gbuffer.resolve import FOREST
-from terrain.geo.camera import PerspectiveView
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.resolve import FOREST
+from skugga.terrain.geo.camera import PerspectiveView
 
 ERROR_SIZE = (640, 512)
 

@@ -1,7 +1,7 @@
 """J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figures 52 and 53 again: map size and cut-off angle.
 
-Every picture is held against ray-traced truth (``shadows.truth.metrics``), with maps of one tap, so that texels are measured, not
-filters.
+Every picture is held against ray-traced truth (``skugga.shadows.truth.metrics``), with maps of one tap, so that texels are
+measured, not filters.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import CaptionedPicture, CropBox, drawn, write_sheet
 from benchmarks.seeds.verdicts import SAME, THESIS, all_of, at_least, at_most, because, percent, whole_percent
 from benchmarks.seeds.views import Variant, ViewWithTruth, draw_variant, level_of, scene_of, view_with_truth
-from shadows.maps.windows import MAP_BORDER_TEXELS
-from shadows.truth.metrics import boundary
+from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
+from skugga.shadows.truth.metrics import boundary
 
 FRAME = (1280, 1024)
 """The thesis's own frames."""

@@ -1,7 +1,7 @@
 """J. Sindholt, A comparison of Shadow Algorithms (DTU 2005), figures 54 and 55 again: perspective maps by the light's place.
 
-Every picture is held against ray-traced truth (``shadows.truth.metrics``), with maps of one tap. Some rows are *controls*, an
-algorithm with one idea taken out of it, to find the cause of a difference by experiment.
+Every picture is held against ray-traced truth (``skugga.shadows.truth.metrics``), with maps of one tap. Some rows are *controls*,
+an algorithm with one idea taken out of it, to find the cause of a difference by experiment.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.pictures import CaptionedPicture, CropBox, write_sheet, wrong_in
 from benchmarks.seeds.verdicts import THESIS, all_of, at_least, at_most, because, factor, percent
 from benchmarks.seeds.views import DrawnVariant, Variant, ViewWithTruth, draw_variant, level_of, scene_of, view_with_truth
-from shadows.maps import perspective_shadow_map, post_perspective
-from shadows.maps.post_perspective import PostPerspective
-from terrain.scene import Scene
+from skugga.shadows.maps import perspective_shadow_map, post_perspective
+from skugga.shadows.maps.post_perspective import PostPerspective
+from skugga.terrain.scene import Scene
 
 SIZE = (960, 768)
 TEXELS = 512

@@ -11,10 +11,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.contact_sheet import GAP_PX, INK, PAPER, TEXT_PX, sheet_bytes
 from benchmarks.seeds.views import DrawnVariant, Variant, ViewWithTruth
-from selector.measure.compare import ComparisonRow, false_colours
-from shadows.render import render_frame
-from terrain.cache import clear_caches
-from terrain.geo.camera import PerspectiveView
+from skugga.selector.measure.compare import ComparisonRow, false_colours
+from skugga.shadows.render import render_frame
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.geo.camera import PerspectiveView
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
 MOST_KB = 200

@@ -25,16 +25,16 @@ from benchmarks.seeds.verdicts import (
     up_to,
 )
 from benchmarks.seeds.views import ViewWithTruth, bundled, view_with_truth
-from shadows.passes import PassRecord
-from shadows.volumes.drawing import count
-from shadows.volumes.edges import Edges, closed_parts, edges_of
-from shadows.volumes.layers import batches
-from shadows.volumes.settings import VolumeSettings
-from shadows.volumes.silhouettes import ALL_CODE, FACING_CODE, Silhouette, facing, silhouette, turns_of
-from shadows.volumes.volumes import MAX_VOLUME_LAYERS, Volumes, volumes_of
-from terrain.casters.casting import caster_solids
-from terrain.compiled import compiled
-from terrain.level.level import SUN
+from skugga.shadows.passes import PassRecord
+from skugga.shadows.volumes.drawing import count
+from skugga.shadows.volumes.edges import Edges, closed_parts, edges_of
+from skugga.shadows.volumes.layers import batches
+from skugga.shadows.volumes.settings import VolumeSettings
+from skugga.shadows.volumes.silhouettes import ALL_CODE, FACING_CODE, Silhouette, facing, silhouette, turns_of
+from skugga.shadows.volumes.volumes import MAX_VOLUME_LAYERS, Volumes, volumes_of
+from skugga.terrain.casters.casting import caster_solids
+from skugga.terrain.compiled import compiled
+from skugga.terrain.level.level import SUN
 
 LEVELS = ("thesis_street_sun", "thesis_water_tower_sun", "thesis_rocks_sun", "thesis_boxgrid_sun")
 SIZE = (640, 512)

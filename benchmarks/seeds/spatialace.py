@@ -13,12 +13,12 @@ from benchmarks.seeds.claims import Claim, Figures, Section
 from benchmarks.seeds.times import interleaved_times
 from benchmarks.seeds.verdicts import SPATIALACE, all_of, at_least, at_most, because, factor, percent, up_to, whole_percent
 from benchmarks.seeds.views import Asked, ViewWithTruth, bundled, one_map, settings_of, shallow, view_with_truth
-from shadows.maps.settings import ShadowMapSettings
-from shadows.passes import PassLog
-from shadows.plan import Plan
-from shadows.truth.metrics import block_shares, coverage_error
-from shadows.truth.truth import coverage_truth
-from terrain.cache import clear_caches
+from skugga.shadows.maps.settings import ShadowMapSettings
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.truth.metrics import block_shares, coverage_error
+from skugga.shadows.truth.truth import coverage_truth
+from skugga.terrain.cache import clear_caches
 
 REPEATS = 11
 FRAME = (800, 600)

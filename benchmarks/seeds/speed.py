@@ -35,11 +35,11 @@ from benchmarks.seeds.verdicts import (
     whole_percent,
 )
 from benchmarks.seeds.views import bundled
-from selector.planner.planner import make_plan
-from shadows.plan import Plan
-from shadows.render import render_frame
-from terrain.cache import clear_caches
-from terrain.describe import describe
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.describe import describe
 
 HALF_SIZE = 640, 512
 STENCIL_REPEATS, FRAME_REPEATS = 7, 4

@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.algorithms import COUNTING_VARIANTS, RIVALS, Shot, plans_of, shot, turns
 from benchmarks.seeds.claims import Figures
 from benchmarks.seeds.verdicts import FOUR
-from shadows.plan import Plan
+from skugga.shadows.plan import Plan
 
 T = TypeVar("T")
 

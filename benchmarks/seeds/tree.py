@@ -16,10 +16,10 @@ from benchmarks.seeds.pictures import CaptionedPicture, CropBox, drawn, write_sh
 from benchmarks.seeds.thin import MOST_WRONG
 from benchmarks.seeds.verdicts import HYBRID, PSM, SM, SV, THESIS, at_least, at_most, because, percent
 from benchmarks.seeds.views import LevelDocument, Variant, draw_variant, scene_of, view_with_truth
-from shadows.truth.metrics import MOST_INTERIOR
-from shadows.volumes import volumes
-from shadows.volumes.edges import Edges, signed_sums
-from shadows.volumes.silhouettes import Silhouette, silhouette
+from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.volumes import volumes
+from skugga.shadows.volumes.edges import Edges, signed_sums
+from skugga.shadows.volumes.silhouettes import Silhouette, silhouette
 
 SIZE = (960, 768)
 TEXELS = 1024

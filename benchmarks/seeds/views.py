@@ -13,27 +13,27 @@ from typing import Any
 import numpy as np
 from ruamel.yaml import YAML
 
-from api.catalogue import find_level
-from selector.measure.footprint import texel_footprint_px
-from selector.planner.planner import make_plan
-from shadows.algorithm import AlgorithmSettings
-from shadows.attached import attached
-from shadows.passes import PassLog
-from shadows.plan import Plan
-from shadows.truth.cache import cached_truth
-from shadows.truth.metrics import edge_distances, errors_of
-from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene
-from shadows.visibility import fill_steps
-from terrain.cache import clear_caches
-from terrain.casters.reach import Casters, casters_of
-from terrain.describe import describe
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.level.level import SUN, load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.selector.measure.footprint import texel_footprint_px
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.algorithm import AlgorithmSettings
+from skugga.shadows.attached import attached
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.truth.cache import cached_truth
+from skugga.shadows.truth.metrics import edge_distances, errors_of
+from skugga.shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene
+from skugga.shadows.visibility import fill_steps
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import SUN, load_level
+from skugga.terrain.scene import Scene, build_scene
 
 SAMPLES = 4
 """Sub-samples a pixel by which truth tells what is decidable."""
@@ -105,7 +105,7 @@ class ViewWithTruth:
         return out
 
     def errors(self, visibility: np.ndarray, texels_px: float | np.ndarray = 0.0) -> dict[str, float]:
-        """The figures of ``shadows.truth.metrics.Errors``."""
+        """The figures of ``skugga.shadows.truth.metrics.Errors``."""
         return asdict(errors_of(visibility, self.truth, self.descriptor.pixel_m, texels_px))
 
 

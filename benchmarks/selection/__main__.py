@@ -27,8 +27,8 @@ from benchmarks.selection.measure import measured, probes, redescribed, timed
 from benchmarks.selection.page import page, with_tables
 from benchmarks.selection.table import read_table, write_table
 from benchmarks.selection.views import ViewInstance, instances
-from selector.cost.device_profile import load_profile
-from terrain.gl.device import device
+from skugga.selector.cost.device_profile import load_profile
+from skugga.terrain.gl.device import device
 
 WORK_STEPS = {"measure": "rows", "time": "anew", "describe": "plan_ms", "probe": "probe"}
 """What is done view by view, and the key of a record that says that it was."""

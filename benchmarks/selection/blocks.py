@@ -2,8 +2,9 @@
 
     python -m benchmarks.selection.blocks DATA       minutes on two cores; the device must be calibrated (skugga calibrate)
 
-Prints how far errors and times of the same choice differ between blocks (``selector.map_probes``), and how often plans of other
-blocks keep to 1 % and 3 % and what they take: by prediction, with a probe of the middle, and with probes as a service makes them.
+Prints how far errors and times of the same choice differ between blocks (``skugga.selector.map_probes``), and how often plans of
+other blocks keep to 1 % and 3 % and what they take: by prediction, with a probe of the middle, and with probes as a service makes
+them.
 """
 
 from __future__ import annotations
@@ -16,23 +17,23 @@ from pathlib import Path
 
 import numpy as np
 
-from api.map_probing import map_block, probe_blocks
-from api.workers.idle_probes import BUDGET_S
 from benchmarks.selection.views import RASTERS, scene_of
-from selector.cost.device_profile import DeviceProfile, load_profile
-from selector.cost.error_model import log_error
-from selector.map_probes import MapClass, MapProbes, ProbedClass
-from selector.measure.probe import probed_plan
-from selector.measure.probing import leader_of
-from selector.measure.proving import ProbedPictures, SceneProver
-from selector.planner.planner import make_plan, planner_of
-from selector.predict import plan_options
-from terrain.describe import describe
-from terrain.geo.grid import MapView
-from terrain.gl.device import device
-from terrain.level.level import SUN
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.api.map_probing import map_block, probe_blocks
+from skugga.api.workers.idle_probes import BUDGET_S
+from skugga.selector.cost.device_profile import DeviceProfile, load_profile
+from skugga.selector.cost.error_model import log_error
+from skugga.selector.map_probes import MapClass, MapProbes, ProbedClass
+from skugga.selector.measure.probe import probed_plan
+from skugga.selector.measure.probing import leader_of
+from skugga.selector.measure.proving import ProbedPictures, SceneProver
+from skugga.selector.planner.planner import make_plan, planner_of
+from skugga.selector.predict import plan_options
+from skugga.terrain.describe import describe
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.gl.device import device
+from skugga.terrain.level.level import SUN
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 
 LEVELS = ("jacksboro_wooded", "grenoble", "lisbon", "sanfrancisco", "quebec", "bilbao, trees")
 PLACES = ((0.25, 0.3), (0.75, 0.72), (0.45, 0.85))

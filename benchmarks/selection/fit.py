@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from selector.belief import SharedVariance
-from selector.choices import StandaloneRequest
-from selector.cost.cost_model import predicted_ms
-from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import (
+from skugga.selector.belief import SharedVariance
+from skugga.selector.choices import StandaloneRequest
+from skugga.selector.cost.cost_model import predicted_ms
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.cost.error_model import (
     LEAST,
     LEAST_INTERIOR,
     LEAST_SPREAD,
@@ -31,15 +31,15 @@ from selector.cost.error_model import (
     smoothed_ladder,
     texel_px_of,
 )
-from selector.planner.planner import planner_of
-from selector.portfolio import portfolio
-from shadows.maps.settings import PerspectiveMapSettings
-from shadows.plan import Step
-from shadows.sweep.sweep import DECIMATED
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import TEXEL_LADDER_PX
-from terrain.facts.probes import HALF_A_HIT
-from terrain.level.level import SUN, CasterKind, Shadows
+from skugga.selector.planner.planner import planner_of
+from skugga.selector.portfolio import portfolio
+from skugga.shadows.maps.settings import PerspectiveMapSettings
+from skugga.shadows.plan import Step
+from skugga.shadows.sweep.sweep import DECIMATED
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
+from skugga.terrain.facts.probes import HALF_A_HIT
+from skugga.terrain.level.level import SUN, CasterKind, Shadows
 
 Figures = dict[str, Any]
 
@@ -209,8 +209,8 @@ class _Deviations:
 
 
 class _Terms:
-    """The sum of ``selector.cost.error_model``, taken apart once for many constants: a term for each band of each kind of each
-    step.
+    """The sum of ``skugga.selector.cost.error_model``, taken apart once for many constants: a term for each band of each kind of
+    each step.
     """
 
     def __init__(self, cases: Sequence[FitCase]) -> None:

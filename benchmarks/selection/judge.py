@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MOST_INTERIOR
 
 PAR_FACTOR = 10.0
 """What a missed target costs, in times the worst that meets it."""

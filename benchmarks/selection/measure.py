@@ -13,20 +13,20 @@ import numpy as np
 from benchmarks.selection.judge import GOALS
 from benchmarks.selection.probes import recorded
 from benchmarks.selection.views import ViewInstance
-from selector.candidates import name_of
-from selector.cost.device_profile import load_profile
-from selector.measure.compare import NO_CAST, compare, drawn_on, run_light
-from selector.planner.planner import make_plan, planner_of
-from selector.portfolio import portfolio
-from selector.select import select
-from shadows.plan import Plan, Step
-from terrain.describe import describe
-from terrain.errors import UnsupportedError
-from terrain.facts.descriptor import Descriptor
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.gl.device import device
-from terrain.scene import Scene
+from skugga.selector.candidates import name_of
+from skugga.selector.cost.device_profile import load_profile
+from skugga.selector.measure.compare import NO_CAST, compare, drawn_on, run_light
+from skugga.selector.planner.planner import make_plan, planner_of
+from skugga.selector.portfolio import portfolio
+from skugga.selector.select import select
+from skugga.shadows.plan import Plan, Step
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.gl.device import device
+from skugga.terrain.scene import Scene
 
 RUNS = 3
 """A row is timed so often, all rows in turns, after a first run that pays for compiling."""

@@ -10,9 +10,9 @@ import numpy as np
 from benchmarks.selection.fit import cases_of
 from benchmarks.selection.judge import GOALS, GoalInstance, PolicyScore, instances_of, judged, marginal
 from benchmarks.selection.policies import BUDGET_S, Split, errors_of_time, splits
-from selector.cost.device_profile import DeviceProfile
-from selector.formatting import format_percent
-from shadows.registry import selectable_algorithms
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.formatting import format_percent
+from skugga.shadows.registry import selectable_algorithms
 
 Figures = dict[str, Any]
 

@@ -11,15 +11,15 @@ import numpy as np
 from benchmarks.selection.fit import FitCase, asked_of, cases_of, fit_model
 from benchmarks.selection.judge import GOALS, GoalInstance, instances_of, single_best, stand_in
 from benchmarks.selection.probes import RecordedProver, recorded_options
-from selector.candidates import name_of
-from selector.choices import StandaloneRequest
-from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import ErrorModel
-from selector.measure.probing import LightProbe, leader_of, probed
-from selector.planner.planner import planner_of
-from selector.predict import plan_options, predicted_plan
-from terrain.facts.descriptor import Descriptor
-from terrain.level.level import Shadows
+from skugga.selector.candidates import name_of
+from skugga.selector.choices import StandaloneRequest
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.cost.error_model import ErrorModel
+from skugga.selector.measure.probing import LightProbe, leader_of, probed
+from skugga.selector.planner.planner import planner_of
+from skugga.selector.predict import plan_options, predicted_plan
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.level import Shadows
 
 POLICIES = ("rules", "predict", "probe", "measure")
 

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 from dataclasses import astuple
 from typing import Any
 
-from selector.candidates import name_of
-from selector.cost.device_profile import DeviceProfile
-from selector.measure.probing import Proof
-from selector.measure.proving import MOST_DOUBLINGS, ProbedPictures, SceneProver
-from selector.options import LightOptions
-from selector.planner.planner import planner_of
-from selector.predict import plan_options
-from terrain.describe import describe
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.scene import Scene
+from skugga.selector.candidates import name_of
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.measure.probing import Proof
+from skugga.selector.measure.proving import MOST_DOUBLINGS, ProbedPictures, SceneProver
+from skugga.selector.options import LightOptions
+from skugga.selector.planner.planner import planner_of
+from skugga.selector.predict import plan_options
+from skugga.terrain.describe import describe
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.scene import Scene
 
 Figures = dict[str, Any]
 
@@ -60,7 +60,9 @@ def recorded(scene: Scene, view: MapView | PerspectiveView, name: str, light: st
 
 
 class RecordedProver:
-    """A ``selector.measure.probing.Prover`` that knows what was recorded of a view; ``rows`` names the row of each option."""
+    """A ``skugga.selector.measure.probing.Prover`` that knows what was recorded of a view; ``rows`` names the row of each
+    option.
+    """
 
     def __init__(self, record: Figures, rows: Sequence[str]) -> None:
         self._record, self._rows = record, rows

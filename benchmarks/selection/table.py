@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from selector.cost.device_profile import DeviceProfile
-from terrain.facts.descriptor import Descriptor
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.terrain.facts.descriptor import Descriptor
 
 TABLE = Path(__file__).with_name("selection.jsonl")
 

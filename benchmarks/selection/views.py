@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from api.catalogue import find_level
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 
 Family = Literal[
     "thesis, spot", "thesis, sun", "relief, map", "relief, perspective", "wooded, map", "wooded, perspective", "dense wood"

@@ -22,7 +22,7 @@ DATE = "2024-03-21"
 SKUGGA = ["env", f"PYTHONPATH={ROOT}", sys.executable]
 """Runs Python on this tree."""
 
-SKUGGA_COMMAND = [*SKUGGA, "-c", "from api.cli.main import main; main()"]
+SKUGGA_COMMAND = [*SKUGGA, "-c", "from skugga.api.cli.main import main; main()"]
 
 RASTERS = {
     "Big Tujunga": ("mountain/bigtujunga_30m_utm11.tif", "EPSG:32611", "SRTM of the Big Tujunga catchment, California"),

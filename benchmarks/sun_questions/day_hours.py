@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-from api.shade import raster_view
 from benchmarks.peers.tools import ToolRun, run_process
 from benchmarks.sun_hours_accuracy import CellRays, ray_truth
 from benchmarks.sun_questions.asking import ASKING, DATE, SKUGGA, SKUGGA_COMMAND, QuestionDem, dem_of
@@ -25,13 +24,14 @@ from benchmarks.sun_questions.sun_paths import (
     r_sun_path,
     suncalc,
 )
-from shadows.sun_hours.suns import WindowSun, window_suns
-from terrain.gbuffer.bare_nodes import bare_nodes
-from terrain.geo.daily_windows import daily_window
-from terrain.geo.sun import direction_enu
-from terrain.ground.sheet import sheet_of
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.api.shade import raster_view
+from skugga.shadows.sun_hours.suns import WindowSun, window_suns
+from skugga.terrain.gbuffer.bare_nodes import bare_nodes
+from skugga.terrain.geo.daily_windows import daily_window
+from skugga.terrain.geo.sun import direction_enu
+from skugga.terrain.ground.sheet import sheet_of
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 
 HOURS = "hours of a day"
 

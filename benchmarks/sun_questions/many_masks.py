@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-from api.layers import MASK_LIT
-from api.shade import raster_view
 from benchmarks.peers.tools import Tool, ToolJob, ToolRun, run_process, tools_of
 from benchmarks.sun_hours_accuracy import CellRays
 from benchmarks.sun_questions.asking import SKUGGA_COMMAND, QuestionDem
 from benchmarks.sun_questions.figures import SunAnswer
-from terrain.gbuffer.bare_nodes import bare_nodes
-from terrain.geo.sun import direction_enu
-from terrain.geo.sun_path import sun_path
-from terrain.ground.sheet import sheet_of
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.api.layers import MASK_LIT
+from skugga.api.shade import raster_view
+from skugga.terrain.gbuffer.bare_nodes import bare_nodes
+from skugga.terrain.geo.sun import direction_enu
+from skugga.terrain.geo.sun_path import sun_path
+from skugga.terrain.ground.sheet import sheet_of
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 
 MASKS = "31 masks of a day"
 

@@ -75,11 +75,11 @@ def point(path: str, out: str, x: str, y: str) -> float:
     """Skugga's horizon in 720 directions, after that of another place: the level is open, its loops are compiled."""
     import numpy as np
 
-    from api.shade import raster_view
-    from shadows.point.horizon import horizon_round, surroundings
-    from shadows.point.place import place_at
-    from terrain.level.level import load_level
-    from terrain.scene import build_scene
+    from skugga.api.shade import raster_view
+    from skugga.shadows.point.horizon import horizon_round, surroundings
+    from skugga.shadows.point.place import place_at
+    from skugga.terrain.level.level import load_level
+    from skugga.terrain.scene import build_scene
 
     scene = build_scene(load_level(Path(path)))
     crs, view = scene.elevation.crs, raster_view(scene).view

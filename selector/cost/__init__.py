@@ -1,4 +1,1 @@
-"""Expected time and error: this device's rates, calibration, and the model of errors.
-
-May import: belief.
-"""
+"""Expected time and error: this device's rates, calibration, and the model of errors."""

@@ -13,22 +13,22 @@ from pathlib import Path
 
 import numpy as np
 
-from selector.cost.calibration_scenes import CalibrationView, calibration_views
-from selector.cost.cost_model import MS_PER_NS, counts_to_ms, work_of
-from selector.cost.device_profile import DeviceProfile, Residual
-from shadows.passes import PassLog
-from shadows.plan import Step
-from shadows.registry import ALGORITHMS, can_serve
-from shadows.visibility import fill_steps
-from shadows.work import Counts
-from terrain.cache import clear_caches
-from terrain.casters.reach import Casters, casters_of
-from terrain.describe import describe
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.antialias import picture_buffer
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gl.device import device
-from terrain.scene import Scene
+from skugga.selector.cost.calibration_scenes import CalibrationView, calibration_views
+from skugga.selector.cost.cost_model import MS_PER_NS, counts_to_ms, work_of
+from skugga.selector.cost.device_profile import DeviceProfile, Residual
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Step
+from skugga.shadows.registry import ALGORITHMS, can_serve
+from skugga.shadows.visibility import fill_steps
+from skugga.shadows.work import Counts
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.antialias import picture_buffer
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gl.device import device
+from skugga.terrain.scene import Scene
 
 TIMING_ROUNDS = 3
 """Everything is measured so often, in turns, so that what else the machine does meets all alike. The least time counts: the first

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.ground.generated_ground import ENGINEERING
-from terrain.level.level import CasterKind, load_level
-from terrain.scene import Scene, build_scene
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.generated_ground import ENGINEERING
+from skugga.terrain.level.level import CasterKind, load_level
+from skugga.terrain.scene import Scene, build_scene
 
 FLOOR: dict[str, Any] = {"flat": {"size": [160, 160], "cells": [80, 80]}}
 BALL_M = 5.0

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from selector.cost.device_profile import DeviceProfile
-from selector.cost.unmeasured import NO_RATES, UnmeasuredError
-from shadows.algorithm import AlgorithmSettings
-from shadows.registry import ALGORITHMS
-from shadows.work import Counts, Work, Workload
-from terrain.facts.descriptor import Descriptor
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import CasterKind
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.cost.unmeasured import NO_RATES, UnmeasuredError
+from skugga.shadows.algorithm import AlgorithmSettings
+from skugga.shadows.registry import ALGORITHMS
+from skugga.shadows.work import Counts, Work, Workload
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import CasterKind
 
 MS_PER_NS = 1e-6
 
@@ -49,7 +49,9 @@ def predicted_parts_ms(
     algorithm: AlgorithmName,
     settings: AlgorithmSettings | None,
 ) -> dict[str, float]:
-    """The same by part of the work (``shadows.work``). Raises ``UnmeasuredError`` for a part of which the profile has no rates."""
+    """The same by part of the work (``skugga.shadows.work``). Raises ``UnmeasuredError`` for a part of which the profile has no
+    rates.
+    """
     work = work_of(descriptor, light, kinds, algorithm, settings)
     for part in work:
         if part not in profile.rates_ns:

@@ -11,8 +11,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from terrain.user_cache import user_cache
-from terrain.whole_files import write_whole
+from skugga.terrain.user_cache import user_cache
+from skugga.terrain.whole_files import write_whole
 
 SCHEMA: Final = 1
 """Changes with what the rates mean: profiles of another one count as none."""
@@ -34,7 +34,7 @@ class Residual(BaseModel):
 
 
 class DeviceProfile(BaseModel):
-    """The rates of a device, nanoseconds by part of the work and by what is counted there (``shadows.work``).
+    """The rates of a device, nanoseconds by part of the work and by what is counted there (``skugga.shadows.work``).
 
     ``renderer`` and ``version`` are OpenGL's own words for the device and its driver, ``engine`` is the version of Skugga that
     measured, ``took_s`` how long that took, ``residuals`` how well the rates fit, by algorithm.

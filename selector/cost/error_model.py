@@ -27,17 +27,17 @@ from math import log, log2
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from selector.belief import SharedVariance, logistic_chance_over
-from selector.cost.unmeasured import NO_ERRORS, UnmeasuredError
-from shadows.algorithm import ErrorConstants
-from shadows.plan import Step
-from shadows.registry import ALGORITHMS
-from shadows.truth.metrics import MOST_INTERIOR
-from terrain.cache import MIB, cached
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting
-from terrain.facts.probes import HALF_A_HIT
-from terrain.level.level import CasterKind
+from skugga.selector.belief import SharedVariance, logistic_chance_over
+from skugga.selector.cost.unmeasured import NO_ERRORS, UnmeasuredError
+from skugga.shadows.algorithm import ErrorConstants
+from skugga.shadows.plan import Step
+from skugga.shadows.registry import ALGORITHMS
+from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting
+from skugga.terrain.facts.probes import HALF_A_HIT
+from skugga.terrain.level.level import CasterKind
 
 UNKNOWN_CASTING = Casting(
     share=0.1,
@@ -65,8 +65,8 @@ def error_groups() -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ExpectedErrors:
-    """Expected shares, as ``shadows.truth.metrics`` counts them: ``wrong`` of all pixels, ``wrong_cast`` of the cast shadow, and
-    ``interior``; ``spread`` and ``interior_spread`` are the scales by which the logarithms of the latter two scatter.
+    """Expected shares, as ``skugga.shadows.truth.metrics`` counts them: ``wrong`` of all pixels, ``wrong_cast`` of the cast shadow,
+    and ``interior``; ``spread`` and ``interior_spread`` are the scales by which the logarithms of the latter two scatter.
     """
 
     wrong: float
@@ -146,7 +146,7 @@ class ErrorModel(BaseModel):
 @cached("process", MIB)
 def packaged_model() -> ErrorModel:
     """The constants that come with the package."""
-    return ErrorModel.model_validate_json(files("selector.cost").joinpath("error_model.json").read_text(encoding="utf-8"))
+    return ErrorModel.model_validate_json(files("skugga.selector.cost").joinpath("error_model.json").read_text(encoding="utf-8"))
 
 
 def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], model: ErrorModel | None = None) -> ExpectedErrors:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.algorithm_names import AlgorithmName
 
 NO_ERRORS = "its errors are not measured yet: benchmarks/selection fits them"
 NO_RATES = "this device has no rates for {part}: run skugga calibrate again"

@@ -1,17 +1,17 @@
 """The device that is assumed where the real one is not calibrated: rates that were measured once, held to be right within a factor.
 
-Only what is measured afterwards goes by them (``selector.measure``): how the times of two candidates compare is much the same on
-many devices, how long they take is not.
+Only what is measured afterwards goes by them (``skugga.selector.measure``): how the times of two candidates compare is much the
+same on many devices, how long they take is not.
 """
 
 from __future__ import annotations
 
 from importlib.resources import files
 
-from selector.belief import SharedVariance
-from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import ErrorModel, packaged_model
-from terrain.cache import MIB, cached
+from skugga.selector.belief import SharedVariance
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.cost.error_model import ErrorModel, packaged_model
+from skugga.terrain.cache import MIB, cached
 
 UNKNOWN_TIME_SPREAD = 0.7
 """The scale of the logistic distribution of times about those of the usual device: half of them are off by a factor of two."""
@@ -23,7 +23,9 @@ UNKNOWN_SHARED = SharedVariance(view=0.85, family=0.08)
 @cached("process", MIB)
 def usual_device() -> DeviceProfile:
     """The device that measured the benchmark of the selector."""
-    return DeviceProfile.model_validate_json(files("selector.cost").joinpath("usual_device.json").read_text(encoding="utf-8"))
+    return DeviceProfile.model_validate_json(
+        files("skugga.selector.cost").joinpath("usual_device.json").read_text(encoding="utf-8")
+    )
 
 
 def uncalibrated_model(errors: ErrorModel | None = None) -> ErrorModel:

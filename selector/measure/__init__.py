@@ -1,5 +1,1 @@
-"""Measured against truth: probes of candidates, the policies `probe` and `measure`, and the comparison behind the accuracy report.
-
-May import: belief, candidates, choices, cost, expected_loss, formatting, options, planner, predict, ranking,
-seen.
-"""
+"""Measured against truth: probes of candidates, the policies `probe` and `measure`, and the comparison of algorithms."""

@@ -9,23 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from selector.candidates import candidates, name_of
-from selector.measure.view_truth import TRUTH_SAMPLES, ErrorName, View, ViewTruth, truth_of_view
-from shadows.passes import PassLog
-from shadows.plan import Plan
-from shadows.render import bands_of
-from shadows.truth import truth as truth_module
-from shadows.truth.metrics import errors_of
-from shadows.visibility import fill_steps, with_apparent_sun
-from terrain.cache import clear_caches
-from terrain.casters.reach import Casters, casters_of
-from terrain.describe import describe
-from terrain.errors import InputError
-from terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.grid import MapView, blocks_of
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.selector.candidates import candidates, name_of
+from skugga.selector.measure.view_truth import TRUTH_SAMPLES, ErrorName, View, ViewTruth, truth_of_view
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import bands_of
+from skugga.shadows.truth import truth as truth_module
+from skugga.shadows.truth.metrics import errors_of
+from skugga.shadows.visibility import fill_steps, with_apparent_sun
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import InputError
+from skugga.terrain.gbuffer.antialias import MultisampledBuffer, picture_buffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.grid import MapView, blocks_of
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")
 

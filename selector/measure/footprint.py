@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.plan import Step
-from shadows.registry import ALGORITHMS
-from terrain.cache import MIB, cached
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.geo.camera import PerspectiveView
-from terrain.scene import Scene
+from skugga.shadows.plan import Step
+from skugga.shadows.registry import ALGORITHMS
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.scene import Scene
 
 
 def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, pixel_m: float) -> np.ndarray:

@@ -15,21 +15,21 @@ from math import sqrt
 
 import numpy as np
 
-from selector.measure.footprint import texel_footprint_px
-from selector.measure.probing import SURE_Z
-from selector.measure.view_truth import TRUTH_SAMPLES
-from shadows.attached import attached
-from shadows.plan import Step
-from shadows.truth.metrics import INTERIOR_PX, far_from_edges, seen_from
-from shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene, sample_nodes, truth_of
-from shadows.visibility import without_hidden_points
-from terrain.casters.rays import RayScene
-from terrain.casters.reach import Casters
-from terrain.gbuffer.geometry import GeometryBuffer, MapNodes
-from terrain.gbuffer.subsampled import subsampled_points
-from terrain.geo.grid import MapView
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.selector.measure.footprint import texel_footprint_px
+from skugga.selector.measure.probing import SURE_Z
+from skugga.selector.measure.view_truth import TRUTH_SAMPLES
+from skugga.shadows.attached import attached
+from skugga.shadows.plan import Step
+from skugga.shadows.truth.metrics import INTERIOR_PX, far_from_edges, seen_from
+from skugga.shadows.truth.truth import ALL_KINDS, Truth, lit_from, ray_scene, sample_nodes, truth_of
+from skugga.shadows.visibility import without_hidden_points
+from skugga.terrain.casters.rays import RayScene
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.gbuffer.geometry import GeometryBuffer, MapNodes
+from skugga.terrain.gbuffer.subsampled import subsampled_points
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 LATTICE_POINTS = 10_000
 """Points of a lattice, at least, and less than four times as many."""

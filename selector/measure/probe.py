@@ -6,21 +6,21 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from selector.choices import PlanRequest, PolicyName
-from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import ErrorModel
-from selector.cost.usual_device import uncalibrated_model, usual_device
-from selector.formatting import format_duration, format_percent
-from selector.measure.probing import LightProbe, Proof, leader_of, probed
-from selector.measure.proving import ProbedPictures, SceneProver
-from selector.measure.view_truth import View
-from selector.planner.planner import make_plan, planner_of
-from selector.predict import PlanOptions, plan_of, plan_options
-from selector.seen import Seen
-from shadows.algorithm import Reasoned
-from shadows.plan import Plan
-from terrain.describe import describe
-from terrain.scene import Scene
+from skugga.selector.choices import PlanRequest, PolicyName
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.cost.error_model import ErrorModel
+from skugga.selector.cost.usual_device import uncalibrated_model, usual_device
+from skugga.selector.formatting import format_duration, format_percent
+from skugga.selector.measure.probing import LightProbe, Proof, leader_of, probed
+from skugga.selector.measure.proving import ProbedPictures, SceneProver
+from skugga.selector.measure.view_truth import View
+from skugga.selector.planner.planner import make_plan, planner_of
+from skugga.selector.predict import PlanOptions, plan_of, plan_options
+from skugga.selector.seen import Seen
+from skugga.shadows.algorithm import Reasoned
+from skugga.shadows.plan import Plan
+from skugga.terrain.describe import describe
+from skugga.terrain.scene import Scene
 
 DEFAULT_BUDGET_S = 3.0
 """The time of a probe, if nothing else is asked."""
@@ -54,7 +54,7 @@ def probed_plan(
     were measured.
 
     Where no candidate meets the target the nearest is taken, and the plan says by how much it misses. Raises ``InputError`` and
-    ``UnsupportedError`` as ``selector.planner.planner.make_plan`` does.
+    ``UnsupportedError`` as ``skugga.selector.planner.planner.make_plan`` does.
     """
     plan_request = plan_request or scene.loaded.level
     descriptor = describe(scene, view, name, "points")

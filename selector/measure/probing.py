@@ -2,8 +2,8 @@
 confirmed.
 
 Models know a scene from afar, and much of what they are off by is common to all that could be drawn of it. So one look at the
-scene corrects what is expected of every candidate (``selector.options``). Who leads is drawn; truth is asked for at more and more
-points until it is plain whether it keeps to the target; whoever leads then is drawn, and so on. When the leader is confirmed,
+scene corrects what is expected of every candidate (``skugga.selector.options``). Who leads is drawn; truth is asked for at more and
+more points until it is plain whether it keeps to the target; whoever leads then is drawn, and so on. When the leader is confirmed,
 others are tried as long as they promise to be better by more than ``LEAST_SAVING``. A probe ends when nothing does, or when its
 time is spent: more time, better choices. ``measure`` is a probe without a limit of time.
 """
@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 from math import erf, exp, log, sqrt
 from typing import Protocol
 
-from selector.belief import Belief
-from selector.cost.error_model import log_error, log_interior
-from selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
-from selector.options import LightOptions
-from selector.ranking import relative_overshoot
-from selector.seen import Seen
-from shadows.truth.metrics import MOST_INTERIOR
+from skugga.selector.belief import Belief
+from skugga.selector.cost.error_model import log_error, log_interior
+from skugga.selector.expected_loss import LIKELY_MISS_CHANCE, least_expected_loss
+from skugga.selector.options import LightOptions
+from skugga.selector.ranking import relative_overshoot
+from skugga.selector.seen import Seen
+from skugga.shadows.truth.metrics import MOST_INTERIOR
 
 LEAST_SAVING = 0.03
 """Share of the leader's time (of its error, where it misses the target) by which a candidate must promise to be better before it is

@@ -8,19 +8,19 @@ from functools import cached_property
 
 import numpy as np
 
-from selector.measure.compare import DrawnBlock, drawn_on, run_light
-from selector.measure.point_truth import Lattice, PictureTruth, PointCounts, share_interval
-from selector.measure.probing import SURE_Z, Proof
-from selector.measure.view_truth import FOGGY, View
-from selector.options import LightOptions
-from selector.planner.planner import Planner
-from shadows.plan import Step
-from shadows.truth.metrics import COVERAGE_BLOCK_PX, block_shares
-from shadows.truth.truth import coverage_truth
-from shadows.visibility import with_apparent_sun
-from terrain.errors import UnsupportedError
-from terrain.geo.grid import MapView, blocks_of
-from terrain.scene import Scene
+from skugga.selector.measure.compare import DrawnBlock, drawn_on, run_light
+from skugga.selector.measure.point_truth import Lattice, PictureTruth, PointCounts, share_interval
+from skugga.selector.measure.probing import SURE_Z, Proof
+from skugga.selector.measure.view_truth import FOGGY, View
+from skugga.selector.options import LightOptions
+from skugga.selector.planner.planner import Planner
+from skugga.shadows.plan import Step
+from skugga.shadows.truth.metrics import COVERAGE_BLOCK_PX, block_shares
+from skugga.shadows.truth.truth import coverage_truth
+from skugga.shadows.visibility import with_apparent_sun
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.geo.grid import MapView, blocks_of
+from skugga.terrain.scene import Scene
 
 MOST_DOUBLINGS = 4
 """Truth is asked for on one lattice of a picture, then on 2, 4, 8 and 16 of them: of usual pictures these are all pixels."""
@@ -63,7 +63,7 @@ def probed_part(view: View) -> View:
 
 
 class SceneProver:
-    """A ``selector.measure.probing.Prover`` of a light's options on a scene."""
+    """A ``skugga.selector.measure.probing.Prover`` of a light's options on a scene."""
 
     def __init__(self, pictures: ProbedPictures, planner: Planner, light: str, options: LightOptions) -> None:
         self._start_s = time.perf_counter()

@@ -9,23 +9,23 @@ from typing import Any, Literal
 
 import numpy as np
 
-from selector.measure.footprint import texel_footprint_px
-from shadows.attached import attached
-from shadows.plan import Step
-from shadows.render import bands_of
-from shadows.truth.cache import cached_truth
-from shadows.truth.metrics import COVERAGE_BLOCK_PX as COVERAGE_PX
-from shadows.truth.metrics import Errors, block_shares, coverage_error, errors_of
-from shadows.truth.truth import ALL_KINDS, SOFT_SAMPLES, Truth, area_visibility, coverage_truth, ray_scene
-from shadows.visibility import without_hidden_points
-from terrain.casters.reach import Casters, casters_of
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.subsampled import subsampled_points
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView, blocks_of
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.selector.measure.footprint import texel_footprint_px
+from skugga.shadows.attached import attached
+from skugga.shadows.plan import Step
+from skugga.shadows.render import bands_of
+from skugga.shadows.truth.cache import cached_truth
+from skugga.shadows.truth.metrics import COVERAGE_BLOCK_PX as COVERAGE_PX
+from skugga.shadows.truth.metrics import Errors, block_shares, coverage_error, errors_of
+from skugga.shadows.truth.truth import ALL_KINDS, SOFT_SAMPLES, Truth, area_visibility, coverage_truth, ray_scene
+from skugga.shadows.visibility import without_hidden_points
+from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.subsampled import subsampled_points
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView, blocks_of
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 View = MapView | PerspectiveView
 
@@ -113,7 +113,7 @@ def truth_of_view(
 ) -> ViewTruth:
     """The truth of a view's blocks, or bands, under a light; ``samples`` (a square) sub-samples decide a pixel.
 
-    ``effects`` are those that run: points at which nobody looks for the light (``shadows.visibility``) count as no surface.
+    ``effects`` are those that run: points at which nobody looks for the light (``skugga.shadows.visibility``) count as no surface.
     """
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     view_truth = truth_of_parts(scene, view, parts, light, samples, effects)

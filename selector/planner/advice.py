@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from selector.choices import Choice
-from selector.planner.advice_rules import RULES, RuleInput
-from shadows.registry import FALLBACK, can_serve
-from terrain.facts.descriptor import Descriptor
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import Shadows
+from skugga.selector.choices import Choice
+from skugga.selector.planner.advice_rules import RULES, RuleInput
+from skugga.shadows.registry import FALLBACK, can_serve
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import Shadows
 
 NO_RULE = "default: no rule applies, and a shadow map serves every view, light and kind of casters"
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.bent_rays import sun_extent_m
-from shadows.maps.settings import ShadowMapSettings
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import CasterFacts, LampFacts, LightFacts
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import SUN, CasterKind, Shadows
+from skugga.shadows.bent_rays import sun_extent_m
+from skugga.shadows.maps.settings import ShadowMapSettings
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import CasterFacts, LampFacts, LightFacts
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import SUN, CasterKind, Shadows
 
 MAPS_ERROR = 0.006
 """Share of the cast shadow that perspective maps get wrong in the mean over a thesis's five scenes, and plain maps four times as

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from selector.choices import PlanRequest
-from terrain.facts.descriptor import Descriptor
-from terrain.level.level import LevelShadows, Pin, Shadows, override
+from skugga.selector.choices import PlanRequest
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.level import LevelShadows, Pin, Shadows, override
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,21 +11,38 @@ from typing import Any
 
 from pydantic_core import PydanticCustomError
 
-from selector.choices import Choice, PlanRequest
-from selector.formatting import format_list
-from selector.planner.advice import choices_by_rules
-from selector.planner.asked import Asked, asked_of
-from shadows.algorithm import FALLS_BACK_FOR, AlgorithmSettings, Reasoned, Requirement, SettingsRequest, is_area, requirements_of
-from shadows.passes import PassLog
-from shadows.plan import Plan, Step, Target, plan_steps
-from shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS, algorithms_serving
-from shadows.render import passes_of
-from terrain.effects import EFFECTS
-from terrain.effects.cast_shadows import sun_kind_verdict, sun_verdict
-from terrain.errors import InputError, UnsupportedError
-from terrain.facts.descriptor import Descriptor
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import SUN, AlgorithmOverride, CasterKind, EffectName, Shadows, ShadowSettings, expand_override, spelt
+from skugga.selector.choices import Choice, PlanRequest
+from skugga.selector.formatting import format_list
+from skugga.selector.planner.advice import choices_by_rules
+from skugga.selector.planner.asked import Asked, asked_of
+from skugga.shadows.algorithm import (
+    FALLS_BACK_FOR,
+    AlgorithmSettings,
+    Reasoned,
+    Requirement,
+    SettingsRequest,
+    is_area,
+    requirements_of,
+)
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Plan, Step, Target, plan_steps
+from skugga.shadows.registry import ALGORITHMS, FALLBACK, NO_SHADOWS, algorithms_serving
+from skugga.shadows.render import passes_of
+from skugga.terrain.effects import EFFECTS
+from skugga.terrain.effects.cast_shadows import sun_kind_verdict, sun_verdict
+from skugga.terrain.errors import InputError, UnsupportedError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import (
+    SUN,
+    AlgorithmOverride,
+    CasterKind,
+    EffectName,
+    Shadows,
+    ShadowSettings,
+    expand_override,
+    spelt,
+)
 
 SETTING_NAMES = tuple(key for key in ShadowSettings.model_fields if key != "algorithm")
 """What can be asked for besides an algorithm and a target."""

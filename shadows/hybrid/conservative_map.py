@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.hybrid.conservative_raster import certain_depths
-from terrain.compiled import compiled
+from skugga.shadows.hybrid.conservative_raster import certain_depths
+from skugga.terrain.compiled import compiled
 
 LIT, SHADED, MASKED = 255, 0, 128
 """What `decide` says of a point."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
+from skugga.terrain.compiled import compiled, internal
 
 MAX_DEPTH_RUNS = 3
 """Runs of depth that a texel keeps."""

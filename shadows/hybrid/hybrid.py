@@ -1,8 +1,8 @@
 """`hybrid`: a small map decides where it can, and shadow volumes where it cannot (E. Chan and F. Durand, An Efficient Hybrid Shadow
 Rendering Algorithm, Eurographics Symposium on Rendering 2004).
 
-Volumes are drawn only in rectangles of tiles that hold marked pixels (``shadows.volumes.tiles``), which saves their time, and
-count only in marked pixels, by a bit of the stencil, which makes that exact.
+Volumes are drawn only in rectangles of tiles that hold marked pixels (``skugga.shadows.volumes.tiles``), which saves their time,
+and count only in marked pixels, by a bit of the stencil, which makes that exact.
 
 **Mask.** ``original`` is the paper's: a pixel is marked if the comparisons with the two by two texels round it disagree. What is
 thinner than a texel may lie between the texels' centres, and is missed. ``conservative`` marks every pixel but those of which
@@ -15,25 +15,25 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from shadows.algorithm import FEW_MAP_SIZES, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
-from shadows.attached import attached
-from shadows.hybrid.conservative_map import MASKED, SHADED
-from shadows.hybrid.maps import classify_pixels, map_pictures
-from shadows.hybrid.settings import HybridSettings, resolve_hybrid
-from shadows.hybrid.work import hybrid_work
-from shadows.maps.filling import visibility_by_maps
-from shadows.maps.settings import ShadowMapSettings
-from shadows.maps.windows import lamp_map, sun_maps
-from shadows.passes import PassLog
-from shadows.volumes.drawing import count, faces_before
-from shadows.volumes.shadow_volume import KEEPS, NO_VOLUME, too_much_ground
-from shadows.volumes.tiles import marked_tiles
-from shadows.volumes.volumes import volumes_of
-from terrain.casters.reach import Casters
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.level.level import SUN, CasterKind, Shadows
-from terrain.scene import Scene
+from skugga.shadows.algorithm import FEW_MAP_SIZES, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
+from skugga.shadows.attached import attached
+from skugga.shadows.hybrid.conservative_map import MASKED, SHADED
+from skugga.shadows.hybrid.maps import classify_pixels, map_pictures
+from skugga.shadows.hybrid.settings import HybridSettings, resolve_hybrid
+from skugga.shadows.hybrid.work import hybrid_work
+from skugga.shadows.maps.filling import visibility_by_maps
+from skugga.shadows.maps.settings import ShadowMapSettings
+from skugga.shadows.maps.windows import lamp_map, sun_maps
+from skugga.shadows.passes import PassLog
+from skugga.shadows.volumes.drawing import count, faces_before
+from skugga.shadows.volumes.shadow_volume import KEEPS, NO_VOLUME, too_much_ground
+from skugga.shadows.volumes.tiles import marked_tiles
+from skugga.shadows.volumes.volumes import volumes_of
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.level.level import SUN, CasterKind, Shadows
+from skugga.terrain.scene import Scene
 
 PASSES = ("silhouettes", "map", "mask", "stencil")
 
@@ -119,7 +119,7 @@ ALGORITHM = Algorithm(
     layers=("shadow-map", "stencil", "silhouettes", "volumes"),
     settings=(HybridSettings,),
     resolve=resolve_hybrid,
-    keeps=("shadows.hybrid.maps", *KEEPS),
+    keeps=("skugga.shadows.hybrid.maps", *KEEPS),
     search=Search(map_sizes_beside=FEW_MAP_SIZES, hopeless=too_much_ground, variants=({"mask": "original"}, {"map_size": 2048})),
     cost=Cost(
         hybrid_work,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.hybrid.conservative_map import (
+from skugga.shadows.hybrid.conservative_map import (
     LIT,
     ConservativeMap,
     classify_points,
@@ -15,16 +15,16 @@ from shadows.hybrid.conservative_map import (
     clipped_triangles,
     conservative_map,
 )
-from shadows.layer_collector import tiled_pictures
-from shadows.maps.windows import CUBE, POSITION_ERROR
-from shadows.passes import PassLog
-from shadows.volumes.volumes import Volumes
-from terrain.cache import MIB, Cache, Missing
-from terrain.compiled import compiled
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import MESHES
-from terrain.level.level import SUN, CasterKind
-from terrain.scene import Scene
+from skugga.shadows.layer_collector import tiled_pictures
+from skugga.shadows.maps.windows import CUBE, POSITION_ERROR
+from skugga.shadows.passes import PassLog
+from skugga.shadows.volumes.volumes import Volumes
+from skugga.terrain.cache import MIB, Cache, Missing
+from skugga.terrain.compiled import compiled
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.resolve import MESHES
+from skugga.terrain.level.level import SUN, CasterKind
+from skugga.terrain.scene import Scene
 
 HYBRID_BORDER_TEXELS = 1
 """Texels round the points, so that none lies on the rim."""
@@ -62,7 +62,7 @@ class _Window:
         return self.lamp, self.near_m, self.size, tuple(float(v) for array in arrays for v in array.ravel())
 
 
-_kept: Cache[ConservativeMap] = Cache("shadows.hybrid.maps", "light", 256 * MIB)
+_kept: Cache[ConservativeMap] = Cache("skugga.shadows.hybrid.maps", "light", 256 * MIB)
 
 
 def classify_pixels(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
-from shadows.maps.resolve import resolve_uniform_map
-from shadows.maps.settings import LampMapSettings, ShadowMapSettings
-from shadows.volumes.settings import StencilSettings, stencil_settings
+from skugga.shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
+from skugga.shadows.maps.resolve import resolve_uniform_map
+from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
+from skugga.shadows.volumes.settings import StencilSettings, stencil_settings
 
 HYBRID_TEXELS = 768
 """Texels a side of a hybrid's map, unless the level says otherwise: it need not be fine, since volumes decide at edges."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.hybrid.settings import HybridSettings
-from shadows.maps.windows import POSITION_ERROR
-from shadows.maps.work import shadow_map_work
-from shadows.volumes.tiles import CULLING_TILE_PX
-from shadows.volumes.work import silhouette_counts, stencil_counts, volume_faces
-from shadows.work import Work, Workload
-from terrain.facts.fact_types import TEXEL_LADDER_PX
+from skugga.shadows.hybrid.settings import HybridSettings
+from skugga.shadows.maps.windows import POSITION_ERROR
+from skugga.shadows.maps.work import shadow_map_work
+from skugga.shadows.volumes.tiles import CULLING_TILE_PX
+from skugga.shadows.volumes.work import silhouette_counts, stencil_counts, volume_faces
+from skugga.shadows.work import Work, Workload
+from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
 
 FINEST_SHARE = 256.0 * POSITION_ERROR
 """A texel of a hybrid's map is never less than so large a share of how far what is seen reaches."""

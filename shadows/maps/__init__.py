@@ -1,4 +1,1 @@
-"""Depth maps: `shadow_map` and `perspective_shadow_map`; where their maps lie, how they are drawn and looked up.
-
-May import: algorithm, area_light, attached, passes, penumbra, work.
-"""
+"""Depth maps: `shadow_map` and `perspective_shadow_map`; where their maps lie, how they are drawn and looked up."""

@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from shadows.maps.settings import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
-from shadows.maps.trees_that_matter import trees_that_matter
-from shadows.maps.windows import DepthMap
-from shadows.passes import PassRecord
-from terrain.cache import IdentityKey
-from terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_casters
-from terrain.casters.reach import Casters
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.id_buffer import set_uniforms, shader
-from terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
-from terrain.geo.grid import MapView
-from terrain.gl.device import Device, device
-from terrain.level.level import CasterKind
-from terrain.scene import Scene
-from terrain.trees.foliage import THRESHOLD, foliage
+from skugga.shadows.maps.settings import Culling, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from skugga.shadows.maps.trees_that_matter import trees_that_matter
+from skugga.shadows.maps.windows import DepthMap
+from skugga.shadows.passes import PassRecord
+from skugga.terrain.cache import IdentityKey
+from skugga.terrain.casters.casting import Mesh, caster_meshes, caster_sheets, closed_casters
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader
+from skugga.terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.gl.device import Device, device
+from skugga.terrain.level.level import CasterKind
+from skugga.terrain.scene import Scene
+from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
 if TYPE_CHECKING:
     from moderngl import Framebuffer

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from shadows.maps.drawing import MapSettings, depths, draw_map, drawn_ahead
-from shadows.maps.lookup import look_up
-from shadows.maps.windows import DepthMap
-from shadows.passes import PassLog
-from terrain.casters.reach import Casters
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gl.device import device
-from terrain.level.level import CasterKind
-from terrain.scene import Scene
+from skugga.shadows.maps.drawing import MapSettings, depths, draw_map, drawn_ahead
+from skugga.shadows.maps.lookup import look_up
+from skugga.shadows.maps.windows import DepthMap
+from skugga.shadows.passes import PassLog
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gl.device import device
+from skugga.terrain.level.level import CasterKind
+from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
     from moderngl import Framebuffer

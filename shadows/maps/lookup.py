@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from shadows.maps.drawing import MapSettings
-from shadows.maps.point_lookup import DepthComparison, LitPoints, look_points_up, sun_map
-from shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, DISC_TAPS, WIDEST_TEXELS, samples_before_edges
-from shadows.maps.windows import DepthMap
-from shadows.passes import PassRecord
-from terrain.compiled import compiled
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.id_buffer import set_uniforms, shader
-from terrain.gbuffer.map_columns import corners_under
-from terrain.gbuffer.resolve import RELIEF
-from terrain.gbuffer.shared_points import facing_normals
-from terrain.geo.grid import MapView
-from terrain.gl.device import Device
-from terrain.ground.sheet import Sheet
-from terrain.lights import LightPosition
+from skugga.shadows.maps.drawing import MapSettings
+from skugga.shadows.maps.point_lookup import DepthComparison, LitPoints, look_points_up, sun_map
+from skugga.shadows.maps.sun_disc import BLOCK_TEXELS, DISC_TANGENT, DISC_TAPS, WIDEST_TEXELS, samples_before_edges
+from skugga.shadows.maps.windows import DepthMap
+from skugga.shadows.passes import PassRecord
+from skugga.terrain.compiled import compiled
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.id_buffer import set_uniforms, shader
+from skugga.terrain.gbuffer.map_columns import corners_under
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.gl.device import Device
+from skugga.terrain.ground.sheet import Sheet
+from skugga.terrain.lights import LightPosition
 
 if TYPE_CHECKING:
     from moderngl import Framebuffer, Program

@@ -1,6 +1,6 @@
 """`perspective_shadow_map`: a depth map in the post-perspective space of the camera, fine near the eye and coarse far away.
 
-``shadows.maps.post_perspective`` makes the map's matrix. Here it is fitted to the receivers, drawn, and looked up;
+``skugga.shadows.maps.post_perspective`` makes the map's matrix. Here it is fitted to the receivers, drawn, and looked up;
 ``docs/perspective-shadow-maps.md`` derives the window, the comparison and the bias. Taps, their weights, kept maps and foliage are
 as in ``docs/shadow-maps.md``. A uniform map is put on record with the reason.
 """
@@ -13,11 +13,11 @@ from itertools import product
 
 import numpy as np
 
-from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
-from shadows.area_light import mean_over_light
-from shadows.attached import attached
-from shadows.maps.filling import visibility_by_maps
-from shadows.maps.post_perspective import (
+from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
+from skugga.shadows.area_light import mean_over_light
+from skugga.shadows.attached import attached
+from skugga.shadows.maps.filling import visibility_by_maps
+from skugga.shadows.maps.post_perspective import (
     Camera,
     Light,
     fit_to_bounds,
@@ -28,22 +28,22 @@ from shadows.maps.post_perspective import (
     texel_in_picture,
     uniform_matrix,
 )
-from shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_perspective_map
-from shadows.maps.settings import PerspectiveMapSettings
-from shadows.maps.texels import perspective_map_texel_px, texel_on_level_ground_m
-from shadows.maps.windows import MAP_BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, depth_steps
-from shadows.maps.work import perspective_map_work
-from shadows.passes import PassLog
-from terrain.casters.casting import anything_casts, caster_trees
-from terrain.casters.reach import Casters
-from terrain.compiled import compiled
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.tree_instances import TreeInstances
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.light_space import light_bounds
-from terrain.level.level import SUN, CasterKind, Shadows
-from terrain.scene import Scene
+from skugga.shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_perspective_map
+from skugga.shadows.maps.settings import PerspectiveMapSettings
+from skugga.shadows.maps.texels import perspective_map_texel_px, texel_on_level_ground_m
+from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, NEAREST_SHARE, POSITION_ERROR, DepthMap, depth_steps
+from skugga.shadows.maps.work import perspective_map_work
+from skugga.shadows.passes import PassLog
+from skugga.terrain.casters.casting import anything_casts, caster_trees
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.compiled import compiled
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.tree_instances import TreeInstances
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.light_space import light_bounds
+from skugga.terrain.level.level import SUN, CasterKind, Shadows
+from skugga.terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")
 
@@ -314,7 +314,7 @@ ALGORITHM = Algorithm(
     layers=("shadow-map",),
     settings=(PerspectiveMapSettings,),
     resolve=resolve_perspective_map,
-    keeps=("terrain.gl.depth_targets",),
+    keeps=("skugga.terrain.gl.depth_targets",),
     search=Search(
         tuned={"map_size": TUNED_SIZES},
         compared=tuple({"map_size": size, "filter": taps} for size, taps in product((1024, 2048, 512), (1, 3))),

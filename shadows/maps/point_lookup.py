@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.maps.windows import DepthMap
-from terrain.compiled import compiled, in_shares, internal
+from skugga.shadows.maps.windows import DepthMap
+from skugga.terrain.compiled import compiled, in_shares, internal
 
 
 class SunMap(NamedTuple):
@@ -32,8 +32,8 @@ class SunMap(NamedTuple):
 
 
 class DepthComparison(NamedTuple):
-    """How depths are compared (``shadows.maps.settings``): on triangles that are known, or moved along normals, or neither; taps a
-    side, and those where no triangle is known.
+    """How depths are compared (``skugga.shadows.maps.settings``): on triangles that are known, or moved along normals, or neither;
+    taps a side, and those where no triangle is known.
     """
 
     by_triangles: bool

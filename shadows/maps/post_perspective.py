@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from terrain.compiled import compiled
+from skugga.terrain.compiled import compiled
 
 PostPerspectiveLightKind = Literal["point", "sink", "parallel"]
 """What a light is after the camera's projection: in front of it, behind, or neither."""

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
-from shadows.maps.settings import Cascade, LampMapSettings, MapFilter, PerspectiveMapSettings, ShadowMapSettings
-from shadows.maps.taps import sun_taps
-from shadows.maps.windows import MAP_BORDER_TEXELS
-from shadows.penumbra import MAX_POINTS
-from terrain.cache import MIB, cached
-from terrain.errors import UnsupportedError
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Band, LampFacts
-from terrain.level.level import SUN, Shadows
+from skugga.shadows.algorithm import Reasoned, ResolvedSettings, SettingsRequest
+from skugga.shadows.maps.settings import Cascade, LampMapSettings, MapFilter, PerspectiveMapSettings, ShadowMapSettings
+from skugga.shadows.maps.taps import sun_taps
+from skugga.shadows.maps.windows import MAP_BORDER_TEXELS
+from skugga.shadows.penumbra import MAX_POINTS
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Band, LampFacts
+from skugga.terrain.level.level import SUN, Shadows
 
 TEXEL_PX = 0.4
 """A texel's footprint on level ground, in pixels, that an automatic map size keeps to (between 512 and 4096 texels)."""
@@ -65,7 +65,7 @@ class CalibratedMaps:
 
 
 def calibrated_maps(descriptor: Descriptor, light: str, grid: str) -> CalibratedMaps:
-    """As far as the grid goes (``shadows.algorithm.Cost``)."""
+    """As far as the grid goes (``skugga.shadows.algorithm.Cost``)."""
     sizes = {"few": (1024, 2048)}.get(grid, CALIBRATED_SIZES if light == SUN else CALIBRATED_SIZES[:3])
     taps: tuple[int | str, ...] = (1, 2, 5, *(("sun",) if light == SUN else ())) if grid == "full" else ()
     return CalibratedMaps([{"map_size": size} for size in sizes], [{"map_size": 1024, "filter": each} for each in taps])

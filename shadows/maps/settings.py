@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from shadows.algorithm import AlgorithmSettings, AreaSettings
+from skugga.shadows.algorithm import AlgorithmSettings, AreaSettings
 
 MapFit = Literal["stable", "tight"]
 """Where a sun's map lies: on a fixed lattice, so that texels never move against the ground, or close round the receivers."""

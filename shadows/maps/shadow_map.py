@@ -13,22 +13,22 @@ from typing import Any
 
 import numpy as np
 
-from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
-from shadows.area_light import mean_over_light
-from shadows.maps.filling import visibility_by_maps
-from shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_shadow_map
-from shadows.maps.settings import LampMapSettings, ShadowMapSettings
-from shadows.maps.sun_disc import nearest_caster_m
-from shadows.maps.texels import shadow_map_texel_m, shadow_map_texel_px
-from shadows.maps.windows import DepthMap, lamp_map, sun_maps
-from shadows.maps.work import shadow_map_work
-from shadows.passes import PassLog
-from terrain.casters.casting import anything_casts, caster_trees
-from terrain.casters.reach import Casters
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.level.level import SUN, CasterKind, Shadows
-from terrain.scene import Scene
+from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Search, SettingsRequest
+from skugga.shadows.area_light import mean_over_light
+from skugga.shadows.maps.filling import visibility_by_maps
+from skugga.shadows.maps.resolve import TUNED_SIZES, calibrated_maps, resolve_shadow_map
+from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
+from skugga.shadows.maps.sun_disc import nearest_caster_m
+from skugga.shadows.maps.texels import shadow_map_texel_m, shadow_map_texel_px
+from skugga.shadows.maps.windows import DepthMap, lamp_map, sun_maps
+from skugga.shadows.maps.work import shadow_map_work
+from skugga.shadows.passes import PassLog
+from skugga.terrain.casters.casting import anything_casts, caster_trees
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.level.level import SUN, CasterKind, Shadows
+from skugga.terrain.scene import Scene
 
 PASSES = ("depth map", "visibility")
 
@@ -94,7 +94,7 @@ ALGORITHM = Algorithm(
     layers=("shadow-map",),
     settings=(ShadowMapSettings, LampMapSettings),
     resolve=resolve_shadow_map,
-    keeps=("terrain.gl.depth_targets", "shadows.maps.sun_disc.samples_before_edges"),
+    keeps=("skugga.terrain.gl.depth_targets", "skugga.shadows.maps.sun_disc.samples_before_edges"),
     search=Search(
         tuned={"map_size": TUNED_SIZES, "cascades": (1, 2, 4)},
         tunes=_tunes,

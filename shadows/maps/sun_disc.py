@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.casters.casting import caster_meshes, caster_sheets
-from terrain.casters.reach import Casters
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.tree_instances import TreeInstances
-from terrain.geo.sun import SUN_RADIUS_DEG
-from terrain.level.level import CasterKind
-from terrain.scene import Scene
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.casting import caster_meshes, caster_sheets
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.tree_instances import TreeInstances
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG
+from skugga.terrain.level.level import CasterKind
+from skugga.terrain.scene import Scene
 
 DISC_TANGENT = float(np.tan(np.radians(SUN_RADIUS_DEG)))
 """Half the disc's width at distance 1."""

@@ -12,10 +12,10 @@ from typing import Literal
 
 import numpy as np
 
-from shadows.maps.settings import Cascade
-from terrain.facts.descriptor import Descriptor
-from terrain.geo.sun import SUN_RADIUS_DEG
-from terrain.level.level import SUN
+from skugga.shadows.maps.settings import Cascade
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG
+from skugga.terrain.level.level import SUN
 
 DISC_WIDTH = float(2.0 * np.tan(np.radians(SUN_RADIUS_DEG)))
 """The penumbra's width across the light as a share of the distance from what throws it."""

@@ -6,13 +6,13 @@ from math import radians, sqrt, tan
 
 import numpy as np
 
-from shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import CastBand
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.geo.camera import PerspectiveView
-from terrain.level.level import SUN, CasterKind
-from terrain.scene import Scene
+from skugga.shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import CastBand
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.level.level import SUN, CasterKind
+from skugga.terrain.scene import Scene
 
 
 def shadow_map_texel_px(

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.maps.sun_disc import WIDEST_TEXELS
-from shadows.maps.windows import MAP_BORDER_TEXELS, DepthMap
-from terrain.compiled import CORES, compiled, in_shares
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.tree_instances import tree_radius
+from skugga.shadows.maps.sun_disc import WIDEST_TEXELS
+from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, DepthMap
+from skugga.terrain.compiled import CORES, compiled, in_shares
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.tree_instances import tree_radius
 
 RECEIVER_CELLS = 512
 """Cells of the mask along each side of a map."""

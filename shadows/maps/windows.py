@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from shadows.attached import attached
-from shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
-from shadows.maps.sun_disc import border_texels
-from terrain.compiled import compiled, in_shares
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.tree_instances import TreeInstances
-from terrain.geo.grid import MapView
-from terrain.geo.light_space import light_bounds
-from terrain.gl.device import device
-from terrain.lights import Lamp
-from terrain.scene import Scene
+from skugga.shadows.attached import attached
+from skugga.shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
+from skugga.shadows.maps.sun_disc import border_texels
+from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.tree_instances import TreeInstances
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.light_space import light_bounds
+from skugga.terrain.gl.device import device
+from skugga.terrain.lights import Lamp
+from skugga.terrain.scene import Scene
 
 MAP_BORDER_TEXELS = 12
 """Texels round the receivers: the bias moves lookups by up to 8, taps by up to 2."""
@@ -46,7 +46,7 @@ class DepthMap:
     perspective the points that it is for (flat indices).
 
     ``shaders`` are those of the light's clip space and of what is held against the map. ``reach`` bounds the trees that matter
-    (rotation, translation, low, high: as ``terrain.casters.casting.trees_in_the_way`` takes them); ``None``: all of them do.
+    (rotation, translation, low, high: as ``skugga.terrain.casters.casting.trees_in_the_way`` takes them); ``None``: all of them do.
     """
 
     uniforms: dict[str, Any]

@@ -6,12 +6,12 @@ from math import ceil
 
 import numpy as np
 
-from shadows.area_light import times_points
-from shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
-from shadows.maps.windows import MAP_BORDER_TEXELS, SIZE_STEP
-from shadows.work import Counts, Work, Workload
-from terrain.facts.descriptor import Descriptor
-from terrain.level.level import SUN
+from skugga.shadows.area_light import times_points
+from skugga.shadows.maps.settings import LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, SIZE_STEP
+from skugga.shadows.work import Counts, Work, Workload
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.level import SUN
 
 Windows = list[tuple[float, float]]
 """Texels of each of a light's maps, and its area across the light in square metres."""
@@ -62,7 +62,7 @@ def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: floa
 
 
 def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> Windows:
-    """Texels of each of a sun's maps and its area across the light, square metres, as ``shadows.maps.windows`` lays them."""
+    """Texels of each of a sun's maps and its area across the light, square metres, as ``skugga.shadows.maps.windows`` lays them."""
     spans_m = []
     if descriptor.bands:
         near_m = 0.0

@@ -1,4 +1,1 @@
-"""What one point sees of the sun: its horizon in every direction by relief, meshes and trees, and when the sun clears it.
-
-May import: no other room.
-"""
+"""What one point sees of the sun: its horizon in every direction by relief, meshes and trees, and when the sun clears it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
 
-from terrain.geo.clock import clock_named
+from skugga.terrain.geo.clock import clock_named
 
 
 def clock_of(name: str, lon_deg: float | None, day: date) -> tzinfo:

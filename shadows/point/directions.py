@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import internal
+from skugga.terrain.compiled import internal
 
 AZIMUTH_BINS = 3600
 """Bins of azimuths, of a tenth of a degree."""

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.point.directions import Directions, directions_of
-from shadows.point.horizon_walk import ReliefHorizon, ground_hides, relief_horizon
-from shadows.point.leaf_sight import SeenTrees, highest_leaves, nearest_leaves, seen_trees
-from shadows.point.place import PointPlace
-from shadows.point.solid_sight import Sighting, highest_solids, nearest_solids, nothing_sighted
-from shadows.point.terms import CasterType
-from terrain.gbuffer.tree_instances import tree_instances_in_map
-from terrain.geo.world import geodetic
-from terrain.scene import Scene
+from skugga.shadows.point.directions import Directions, directions_of
+from skugga.shadows.point.horizon_walk import ReliefHorizon, ground_hides, relief_horizon
+from skugga.shadows.point.leaf_sight import SeenTrees, highest_leaves, nearest_leaves, seen_trees
+from skugga.shadows.point.place import PointPlace
+from skugga.shadows.point.solid_sight import Sighting, highest_solids, nearest_solids, nothing_sighted
+from skugga.shadows.point.terms import CasterType
+from skugga.terrain.gbuffer.tree_instances import tree_instances_in_map
+from skugga.terrain.geo.world import geodetic
+from skugga.terrain.scene import Scene
 
 HORIZON_DIRECTIONS = 720
 """Directions of a horizon, unless more are asked for: every half degree."""

@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.point.place import PointPlace
-from shadows.point.relief_pages import TILE_QUADS, detail_ends, paged_relief, quad_height
-from shadows.point.sight_lines import SightLines, sight_lines
-from terrain.casters.reach import PATCH_QUADS, longest_shadow_m
-from terrain.compiled import compiled, internal
-from terrain.scene import Scene
+from skugga.shadows.point.place import PointPlace
+from skugga.shadows.point.relief_pages import TILE_QUADS, detail_ends, paged_relief, quad_height
+from skugga.shadows.point.sight_lines import SightLines, sight_lines
+from skugga.terrain.casters.reach import PATCH_QUADS, longest_shadow_m
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.scene import Scene
 
 NO_GROUND = -1e30
 """Tangent of a horizon without any ground."""

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.point.directions import Directions, ends_towards
-from shadows.point.solid_sight import LEAST_AWAY_M, Sighting, azimuth_of
-from terrain.compiled import compiled, internal
-from terrain.gbuffer.tree_instances import TreeInstances, tree_corner
-from terrain.interpolation_loops import blend_corners, cell_before
-from terrain.trees.foliage import TEXTURE_PX, THRESHOLD, foliage
+from skugga.shadows.point.directions import Directions, ends_towards
+from skugga.shadows.point.solid_sight import LEAST_AWAY_M, Sighting, azimuth_of
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_corner
+from skugga.terrain.interpolation_loops import blend_corners, cell_before
+from skugga.terrain.trees.foliage import TEXTURE_PX, THRESHOLD, foliage
 
 STEP = 1e-4
 """Steps of the tangent (0.006 degrees) in which far leaves are looked for."""
@@ -199,7 +199,7 @@ def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, found, n, m):
 
 @internal
 def _is_leaf(alpha, u, v):
-    """Whether a picture (h, w) is opaque at a place on a quad, as ``terrain.casters.rays.sample_alpha`` reads it."""
+    """Whether a picture (h, w) is opaque at a place on a quad, as ``skugga.terrain.casters.rays.sample_alpha`` reads it."""
     height, width = alpha.shape
     x = min(max(u * width - 0.5, 0.0), width - 1.0)
     y = min(max((1.0 - v) * height - 0.5, 0.0), height - 1.0)

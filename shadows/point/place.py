@@ -8,12 +8,12 @@ import numpy as np
 from pyproj import CRS, Geod
 from pyproj.exceptions import ProjError
 
-from shadows.point.relief_pages import PagedRelief, paged_relief
-from shadows.point.terms import HIGHEST_EYE_M
-from terrain.errors import InputError
-from terrain.geo.axes import axes_of
-from terrain.geo.world import LONGITUDE_LATITUDE, transformer
-from terrain.scene import Scene
+from skugga.shadows.point.relief_pages import PagedRelief, paged_relief
+from skugga.shadows.point.terms import HIGHEST_EYE_M
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.axes import axes_of
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
+from skugga.terrain.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
     """The place of coordinates: longitude and latitude (east and north metres from the middle of a flat world), or x and y of a
     CRS.
 
-    Its ground is that which casts: the triangles, or the tops of columns, of ``terrain.ground``. Raises ``InputError`` for
+    Its ground is that which casts: the triangles, or the tops of columns, of ``skugga.terrain.ground``. Raises ``InputError`` for
     coordinates that are off the level's data or for a height below 0 or above ``HIGHEST_EYE_M``.
     """
     if not 0.0 <= height_m <= HIGHEST_EYE_M:

@@ -1,8 +1,9 @@
 """The ground round a point, in pages that are read when a line of sight has to know them.
 
 A page is 256 quads a side of the raster's own nodes (or, of ``surface: blocks``, cells), or of every second, fourth ... one where
-the ground is far away: the detail by distance is that of ``terrain.casters.reach``. Of every page an upper bound of its ground is
-known from the raster's overview without reading it, and of a page that was read the highest ground of each 16 quads a side.
+the ground is far away: the detail by distance is that of ``skugga.terrain.casters.reach``. Of every page an upper bound of its
+ground is known from the raster's overview without reading it, and of a page that was read the highest ground of each 16 quads a
+side.
 """
 
 from __future__ import annotations
@@ -12,15 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from terrain.cache import MIB, cached
-from terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, overview_on_grid
-from terrain.compiled import compiled
-from terrain.geo.grid import Grid, map_grid, step_at_anchor_m
-from terrain.geo.world import World, transformer
-from terrain.ground.columns import Columns
-from terrain.ground.elevation import FILL_CELLS, Elevation
-from terrain.ground.surface import Surface
-from terrain.scene import Scene
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, overview_on_grid
+from skugga.terrain.compiled import compiled
+from skugga.terrain.geo.grid import Grid, map_grid, step_at_anchor_m
+from skugga.terrain.geo.world import World, transformer
+from skugga.terrain.ground.columns import Columns
+from skugga.terrain.ground.elevation import FILL_CELLS, Elevation
+from skugga.terrain.ground.surface import Surface
+from skugga.terrain.scene import Scene
 
 TILE_QUADS = 16
 """Quads a side of the smallest pieces of a page whose highest ground is known."""
@@ -233,8 +234,8 @@ def _highest(height):
 
 @compiled
 def quad_height(nw, ne, sw, se, fr, fc):
-    """Height at a share of the way south and east of a quad, cut along its higher diagonal (``terrain.ground.sheet``); NaN beside
-    its triangles.
+    """Height at a share of the way south and east of a quad, cut along its higher diagonal (``skugga.terrain.ground.sheet``); NaN
+    beside its triangles.
     """
     rising = ne + sw
     if nw + se > rising or np.isnan(rising):

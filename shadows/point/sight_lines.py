@@ -16,13 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.point.place import PointPlace
-from shadows.point.relief_pages import PagedRelief
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled
-from terrain.geo.grid import Grid
-from terrain.geo.world import LONGITUDE_LATITUDE, World, is_longitude_latitude, transformer
-from terrain.ground.elevation import Elevation
+from skugga.shadows.point.place import PointPlace
+from skugga.shadows.point.relief_pages import PagedRelief
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled
+from skugga.terrain.geo.grid import Grid
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, is_longitude_latitude, transformer
+from skugga.terrain.ground.elevation import Elevation
 
 FIRST_M, GROWTH = 500.0, 1.125
 """The first distance at which lines are placed, and how these grow."""

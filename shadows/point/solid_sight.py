@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.point.directions import Directions, ends_towards
-from terrain.compiled import compiled, internal
+from skugga.shadows.point.directions import Directions, ends_towards
+from skugga.terrain.compiled import compiled, internal
 
 LEAST_AWAY_M = 1e-6
 """What is nearer than this to the vertical through the point is as far away."""

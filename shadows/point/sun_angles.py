@@ -1,19 +1,19 @@
 """Where the sun stands at a point: the one direction that it has for all of a level, by the point's own axes.
 
-Refraction is the anchor's, as everywhere (``terrain.geo.sun``), so that a point agrees with its level's masks.
+Refraction is the anchor's, as everywhere (``skugga.terrain.geo.sun``), so that a point agrees with its level's masks.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from shadows.point.place import PointPlace
-from terrain.cache import MIB, cached
-from terrain.errors import InputError
-from terrain.geo.sun import position_at
-from terrain.geo.sun_path import sun_path
-from terrain.geo.world import World
-from terrain.scene import Scene
+from skugga.shadows.point.place import PointPlace
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.sun import position_at
+from skugga.terrain.geo.sun_path import sun_path
+from skugga.terrain.geo.world import World
+from skugga.terrain.scene import Scene
 
 
 def sun_directions(world: World, utc_s: np.ndarray) -> np.ndarray:

@@ -12,9 +12,9 @@ from datetime import UTC, date, datetime, tzinfo
 
 import numpy as np
 
-from shadows.point.horizon import SunCaster, Surroundings, sun_reaches, what_hides
-from shadows.point.sun_angles import angles_at, sun_looks
-from terrain.geo.clock import day_ends
+from skugga.shadows.point.horizon import SunCaster, Surroundings, sun_reaches, what_hides
+from skugga.shadows.point.sun_angles import angles_at, sun_looks
+from skugga.terrain.geo.clock import day_ends
 
 STEP_S = 60.0
 FINE_STEP_S = 2.0

@@ -12,10 +12,10 @@ from datetime import UTC, date, timedelta, tzinfo
 
 import numpy as np
 
-from shadows.point.horizon import Surroundings, objects_leave_free
-from shadows.point.horizon_walk import relief_horizon
-from shadows.point.sun_angles import angles_at, sun_directions
-from terrain.geo.clock import day_ends, has_day
+from skugga.shadows.point.horizon import Surroundings, objects_leave_free
+from skugga.shadows.point.horizon_walk import relief_horizon
+from skugga.shadows.point.sun_angles import angles_at, sun_directions
+from skugga.terrain.geo.clock import day_ends, has_day
 
 YEAR_STEP_S = 300.0
 FINE_HORIZON_DEG = 0.1

@@ -1,4 +1,1 @@
-"""How long the sun is seen: `sun_hours`, spells of sun in daily windows, their crossing times found between steps.
-
-May import: plan, render, sweep.
-"""
+"""How long the sun is seen: `sun_hours`, spells of sun in daily windows, their crossing times found between steps."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import internal
+from skugga.terrain.compiled import internal
 
 
 def quadratic_fit(row: np.ndarray, col: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

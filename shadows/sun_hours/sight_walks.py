@@ -2,8 +2,8 @@
 
 From a node a line is followed towards the sun, row by row of the grid, or column by column where it runs along these. It is held
 against the ground where it crosses rows, columns and the diagonals of quads: there the surface along it has its kinks, as in the
-line sweep (``shadows.sweep.lines``), so that the horizon is that of the very triangles that cast. Of a quad both diagonals count,
-for the lower one lies below the surface. Whole tiles are passed over whose highest node stays below the horizon found so far
+line sweep (``skugga.shadows.sweep.lines``), so that the horizon is that of the very triangles that cast. Of a quad both diagonals
+count, for the lower one lies below the surface. Whole tiles are passed over whose highest node stays below the horizon found so far
 (maximum mipmaps: Tevs, Ihrke and Seidel 2008, of one level), and a line ends where it rises above all ground. The earth is round:
 a line of sight rises above the level by the square of its length.
 """
@@ -14,16 +14,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.sun_hours.quadratics import quadratic, quadratic_fit
-from shadows.sun_hours.suns import WindowSun, lattice_of
-from shadows.sweep.grid import GridOrientation
-from shadows.sweep.rays import patch_windows
-from terrain.casters.reach import Patch
-from terrain.compiled import compiled, internal
-from terrain.gbuffer.bare_nodes import BareNodes
-from terrain.geo.world import EARTH_RADIUS_M, World
-from terrain.ground.surface import NodeHeights
-from terrain.scene import Scene
+from skugga.shadows.sun_hours.quadratics import quadratic, quadratic_fit
+from skugga.shadows.sun_hours.suns import WindowSun, lattice_of
+from skugga.shadows.sweep.grid import GridOrientation
+from skugga.shadows.sweep.rays import patch_windows
+from skugga.terrain.casters.reach import Patch
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.gbuffer.bare_nodes import BareNodes
+from skugga.terrain.geo.world import EARTH_RADIUS_M, World
+from skugga.terrain.ground.surface import NodeHeights
+from skugga.terrain.scene import Scene
 
 PASSED_TILE, PASSED_BLOCK = 8, 64
 """Quads along a side of the tiles, and of the blocks of tiles, that are passed over."""

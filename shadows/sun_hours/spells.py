@@ -9,7 +9,7 @@ cell and the sun, or has gone, at a time that clearances hardly tell: least wron
 middle.
 
 That is a first guess. Where steps are long it is mended: the horizon of the cell that crosses is looked for towards the sun of that
-moment (``shadows.sun_hours.sight_walks``), then by the rule of false position towards the next guess's sun, ``WALKS`` times.
+moment (``skugga.shadows.sun_hours.sight_walks``), then by the rule of false position towards the next guess's sun, ``WALKS`` times.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.sun_hours.quadratics import quadratic
-from shadows.sun_hours.sight_walks import SunTrack, WalkedGround, free_tangent
-from shadows.sweep.grid import GridOrientation, copy_into
-from terrain.compiled import compiled, internal, on_cores
+from skugga.shadows.sun_hours.quadratics import quadratic
+from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, free_tangent
+from skugga.shadows.sweep.grid import GridOrientation, copy_into
+from skugga.terrain.compiled import compiled, internal, on_cores
 
 UNSHADED = np.float32(1e6)
 """Clearance where nothing lies between a cell and the sun: how far it is from being shaded is not known."""

@@ -1,20 +1,20 @@
 """How often the sun has to be looked for: as seldom as hours of sun stay right, which the ground of a block itself tells.
 
-From some cells, through one day, the horizon is looked for towards the sun minute by minute (``shadows.sun_hours.sight_walks``).
-That shows what longer steps would miss there: glances of sun through narrow gaps, and shadows of narrow things, that begin and end
-between two looks. Mountains have next to none; roofs and crowns have many.
+From some cells, through one day, the horizon is looked for towards the sun minute by minute
+(``skugga.shadows.sun_hours.sight_walks``). That shows what longer steps would miss there: glances of sun through narrow gaps, and
+shadows of narrow things, that begin and end between two looks. Mountains have next to none; roofs and crowns have many.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from shadows.sun_hours.sight_walks import SunTrack, WalkedGround, free_tangent, sun_track, walked_ground
-from shadows.sun_hours.suns import WindowSun, sun_spans
-from shadows.sweep.grid import GridOrientation
-from terrain.compiled import compiled
-from terrain.gbuffer.bare_nodes import BareNodes
-from terrain.scene import Scene
+from skugga.shadows.sun_hours.sight_walks import SunTrack, WalkedGround, free_tangent, sun_track, walked_ground
+from skugga.shadows.sun_hours.suns import WindowSun, sun_spans
+from skugga.shadows.sweep.grid import GridOrientation
+from skugga.terrain.compiled import compiled
+from skugga.terrain.gbuffer.bare_nodes import BareNodes
+from skugga.terrain.scene import Scene
 
 LONG_STEP_MIN, SHORT_STEP_MIN = 3.0, 1.0
 """Minutes between two looks on ground that hides little in between, and on all other. Over 4.2 million cells the first takes less

@@ -1,10 +1,11 @@
 """Hours of sun: how long, from when to when, and on how many days the sun is seen from the cells of a map's block.
 
 The sun is looked for at even steps of time and where it rises and sets; where no step is given, as often as the ground of a block
-asks for (``shadows.sun_hours.steps``). From bare ground the line sweep says by how much a cell
-clears what lies between it and the sun (``shadows.sweep``), and the times between steps at which that changes its sign are found
-from it (``shadows.sun_hours.spells``); in steps longer than ``WALKED_MIN`` by walks over the ground, too. Where something stands on
-the ground a plan's algorithms say how much of the sun is seen: a cell has sun where that is half of it at least.
+asks for (``skugga.shadows.sun_hours.steps``). From bare ground the line sweep says by how much a cell
+clears what lies between it and the sun (``skugga.shadows.sweep``), and the times between steps at which that changes its sign are
+found from it (``skugga.shadows.sun_hours.spells``); in steps longer than ``WALKED_MIN`` by walks over the ground, too. Where
+something stands on the ground a plan's algorithms say how much of the sun is seen: a cell has sun where that is half of it at
+least.
 
 Cells keep the order of the sweep's turned grid from step to step: only three or four times a day does that change.
 """
@@ -17,11 +18,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shadows.plan import Plan
-from shadows.render import Frame, render_frame
-from shadows.sun_hours.quadratics import quadratic_fit
-from shadows.sun_hours.sight_walks import WalkedGround, sun_track, walked_ground
-from shadows.sun_hours.spells import (
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import Frame, render_frame
+from skugga.shadows.sun_hours.quadratics import quadratic_fit
+from skugga.shadows.sun_hours.sight_walks import WalkedGround, sun_track, walked_ground
+from skugga.shadows.sun_hours.spells import (
     ClockReading,
     Moment,
     Sight,
@@ -34,23 +35,23 @@ from shadows.sun_hours.spells import (
     turned_copy,
     turned_spells,
 )
-from shadows.sun_hours.steps import UPRIGHT, step_for
-from shadows.sun_hours.suns import SunSpan, WindowSun, lattice_of, sun_spans
-from shadows.sweep.grid import GridOrientation
-from shadows.sweep.sweep import clearance_of_nodes
-from terrain.casters.reach import Patch, casters_in_sun
-from terrain.compiled import CORES
-from terrain.errors import InputError
-from terrain.gbuffer.bare_nodes import BareNodes, bare_nodes
-from terrain.gbuffer.covered_nodes import is_bare
-from terrain.geo.grid import MapView
-from terrain.geo.sun import Sun
-from terrain.geo.world import transformer
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.shadows.sun_hours.steps import UPRIGHT, step_for
+from skugga.shadows.sun_hours.suns import SunSpan, WindowSun, lattice_of, sun_spans
+from skugga.shadows.sweep.grid import GridOrientation
+from skugga.shadows.sweep.sweep import clearance_of_nodes
+from skugga.terrain.casters.reach import Patch, casters_in_sun
+from skugga.terrain.compiled import CORES
+from skugga.terrain.errors import InputError
+from skugga.terrain.gbuffer.bare_nodes import BareNodes, bare_nodes
+from skugga.terrain.gbuffer.covered_nodes import is_bare
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.sun import Sun
+from skugga.terrain.geo.world import transformer
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 LINES = 8
-"""Lines to a column of nodes (``shadows.sweep.lines``): with four the hours on surfaces of trees are wrong twice as much."""
+"""Lines to a column of nodes (``skugga.shadows.sweep.lines``): with four the hours on surfaces of trees are wrong twice as much."""
 
 CASTERS_MIN = 15.0
 """Minutes of sun for which ground beside a block is looked for at their two ends: what lies before the sun in between lies before

@@ -12,12 +12,12 @@ from datetime import UTC
 
 import numpy as np
 
-from terrain.errors import UnsupportedError
-from terrain.geo.daily_windows import DailyWindow
-from terrain.geo.grid import MapView
-from terrain.geo.sun import Sun, direction_enu
-from terrain.geo.sun_path import PRESSURE_PA, TEMPERATURE_C, sun_path
-from terrain.geo.world import World
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.geo.daily_windows import DailyWindow
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.sun import Sun, direction_enu
+from skugga.terrain.geo.sun_path import PRESSURE_PA, TEMPERATURE_C, sun_path
+from skugga.terrain.geo.world import World
 
 BLOCK_PLACES = 5
 """Rows and columns of places that stand for a block's."""

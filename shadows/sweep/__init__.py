@@ -1,4 +1,1 @@
-"""The line sweep: `sweep`, lines along the sun's azimuth over the heightfield. Compiled loops, no OpenGL.
-
-May import: algorithm, passes, work.
-"""
+"""The line sweep: `sweep`, lines along the sun's azimuth over the heightfield. Compiled loops, no OpenGL."""

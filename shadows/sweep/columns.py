@@ -1,17 +1,17 @@
-"""The sun's shadows of upright columns (``terrain.ground.columns``): every ray is followed over the cells that it passes.
+"""The sun's shadows of upright columns (``skugga.terrain.ground.columns``): every ray is followed over the cells that it passes.
 
 What lines share of a smooth ground they do not share of walls: a ray meets a column, or passes beside it by a hair's breadth. So
 each column has a ray of its own, from the middle of its top. It is followed towards the sun over the turned grid
-(``shadows.sweep.lines``), row by row: over a cell it is lowest where it comes in, and there it is held against the cell's flat top.
-What it passes at a corner or along a border it meets, as a ray that meets an edge is stopped.
+(``skugga.shadows.sweep.lines``), row by row: over a cell it is lowest where it comes in, and there it is held against the cell's
+flat top. What it passes at a corner or along a border it meets, as a ray that meets an edge is stopped.
 
 **Bands.** ``BAND_CELLS`` rows at a time a ray is held against the highest column of each block of cells that it passes. Blocks that
 lie below it are passed over at once, and where no higher column lies ahead it has reached the sun.
 
-**A bent earth.** A ray is what has one t and one level (``shadows.sweep.lines``). Along each border between rows its column and its
-height above sea level follow from cubics in t: of the column, of how far aside the vertical leads, of the level of height 0, and
-of what a metre of height adds to it. Nothing is put between lines, so the answers are those of the columns themselves, in a flat
-world to the rounding of float64.
+**A bent earth.** A ray is what has one t and one level (``skugga.shadows.sweep.lines``). Along each border between rows its column
+and its height above sea level follow from cubics in t: of the column, of how far aside the vertical leads, of the level of height
+0, and of what a metre of height adds to it. Nothing is put between lines, so the answers are those of the columns themselves, in a
+flat world to the rounding of float64.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.sweep.grid import BENT_CELLS, LATTICE, bent_rays_error, beyond_crs_error
-from shadows.sweep.points import cubic
-from shadows.sweep.rays import SunRays, rays_over
-from terrain.casters.reach import PATCH_QUADS, Casters
-from terrain.compiled import compiled, internal, on_cores
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import RELIEF
-from terrain.ground.columns import Columns, PlacedOnColumns
-from terrain.scene import Scene
+from skugga.shadows.sweep.grid import BENT_CELLS, LATTICE, bent_rays_error, beyond_crs_error
+from skugga.shadows.sweep.points import cubic
+from skugga.shadows.sweep.rays import SunRays, rays_over
+from skugga.terrain.casters.reach import PATCH_QUADS, Casters
+from skugga.terrain.compiled import compiled, internal, on_cores
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.ground.columns import Columns, PlacedOnColumns
+from skugga.terrain.scene import Scene
 
 BAND_CELLS = 16
 """Rows that are passed over at once, and side of the blocks of cells whose highest column is known."""

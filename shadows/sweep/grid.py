@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.sweep.lines import NO_GROUND_LEVEL, Strip, TurnedGrid, sweep_rows
-from shadows.sweep.points import StripPoints, in_strip, intervals_of, no_points, put_answers
-from terrain.compiled import compiled, in_shares, on_cores
-from terrain.errors import UnsupportedError
+from skugga.shadows.sweep.lines import NO_GROUND_LEVEL, Strip, TurnedGrid, sweep_rows
+from skugga.shadows.sweep.points import StripPoints, in_strip, intervals_of, no_points, put_answers
+from skugga.terrain.compiled import compiled, in_shares, on_cores
+from skugga.terrain.errors import UnsupportedError
 
 STRIP_CELLS = 1024
 """Cells of a strip of lines: few enough that its state and two rows stay in a core's cache."""

@@ -6,7 +6,7 @@ below, so that each is put on and taken off at most once, and the work is linear
 
 A place has two coordinates in the vertical plane of the sun: its *level*, at right angles to a direction of reference, and how far
 it lies *towards* it. The horizon is the angle above that direction. Lines, places and turned grids are those of
-``shadows.sweep.lines``; as there, what is near a point is exact on its own line and the rest lies between two lines.
+``skugga.shadows.sweep.lines``; as there, what is near a point is exact on its own line and the rest lies between two lines.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_grid, turned_levels
-from shadows.sweep.points import cubic, ground_at, is_cut
-from terrain.compiled import compiled, internal, on_cores
+from skugga.shadows.sweep.grid import HIGHER_DIAGONALS, CellSize, flat_grid, turned_levels
+from skugga.shadows.sweep.points import cubic, ground_at, is_cut
+from skugga.terrain.compiled import compiled, internal, on_cores
 
 NO_HORIZON_SLOPE = -1e30
 """Slope of a horizon without any ground: a number, not infinity, so that it can be interpolated."""
@@ -31,7 +31,7 @@ STRIP_NODES = 2**21
 
 class Section(NamedTuple):
     """A turned grid (n, m) with borders: ``level`` and ``towards`` float32, metres, of its nodes, its lines' places (n, 4) and how
-    its quads are cut, as a ``shadows.sweep.lines.TurnedGrid`` has these.
+    its quads are cut, as a ``skugga.shadows.sweep.lines.TurnedGrid`` has these.
     """
 
     level: np.ndarray
@@ -57,7 +57,7 @@ class HorizonQuery(NamedTuple):
 def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, lines: int = 4, cores: int = 1) -> np.ndarray:
     """The altitude above which a sun of an azimuth is seen from the nodes of a heightfield in a flat world: (rows, cols) degrees.
 
-    -90 where no ground lies towards it, NaN where there is none. Arguments as for ``shadows.sweep.grid.sunlit``.
+    -90 where no ground lies towards it, NaN where there is none. Arguments as for ``skugga.shadows.sweep.grid.sunlit``.
     """
     turn, row_m, col_m, t_cubics, column_cubics = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth = np.radians(azimuth_deg)

@@ -1,7 +1,7 @@
 """The line sweep: how high the sun's rays pass over every node of a grid, in time linear in its nodes.
 
-**Space.** The grid is turned and mirrored (``shadows.sweep.grid``) so that the sun stands before row 0 and a ray, followed away
-from the sun, moves by 0 to 1 columns to the right per row. A node's *level* is its coordinate along light space's second axis
+**Space.** The grid is turned and mirrored (``skugga.shadows.sweep.grid``) so that the sun stands before row 0 and a ray, followed
+away from the sun, moves by 0 to 1 columns to the right per row. A node's *level* is its coordinate along light space's second axis
 ("up": at right angles to the rays, in the vertical plane of the sun). Along a ray the level is constant, so a point sees the sun
 exactly if nothing on the way to it has a higher level: no slopes, no distances, and a curved earth bends the nodes, not the rays.
 
@@ -9,8 +9,8 @@ exactly if nothing on the way to it has a higher level: no slopes, no distances,
 and crosses row i at a column that is a cubic in t: t and a shift, were it not that meridians converge. Each line carries the
 highest level that it has met. Between two rows it crosses the sides and the diagonals of the quads; there, and on the rows, the
 surface's level along the line has its kinks, and between them it is linear, so that a line's maximum over the very triangles
-that are drawn is exact. A quad is cut along the higher of its diagonals (``terrain.ground.sheet``): so both count, for the other
-one lies below the surface. Only where a camera's ground was decimated are cuts told quad by quad.
+that are drawn is exact. A quad is cut along the higher of its diagonals (``skugga.terrain.ground.sheet``): so both count, for the
+other one lies below the surface. Only where a camera's ground was decimated are cuts told quad by quad.
 
 **Nodes.** A node lies between two lines. What shades it from beyond the row before it is interpolated between their maxima: the
 maximum over a continuous surface is continuous from line to line, so the error falls with the square of their distance. But for
@@ -28,8 +28,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shadows.sweep.points import cubic, cubic_of, on_column, see_points
-from terrain.compiled import compiled, internal
+from skugga.shadows.sweep.points import cubic, cubic_of, on_column, see_points
+from skugga.terrain.compiled import compiled, internal
 
 NO_GROUND_LEVEL = np.float32(-1e30)
 """Level of a line that has met nothing: a number, not infinity, so that it can be interpolated."""
@@ -47,7 +47,7 @@ STRAIGHT = 0.01
 
 
 class TurnedGrid(NamedTuple):
-    """A turned grid (n, m) between two columns of border (``shadows.sweep.grid.bordered``), with its lines' places.
+    """A turned grid (n, m) between two columns of border (``skugga.shadows.sweep.grid.bordered``), with its lines' places.
 
     ``level`` float32 are the nodes' levels, NaN where there is no ground. ``place`` (n, 4) float64 are the cubics that take t to a
     row's columns, ``at`` (n, 4) those that take columns to t. ``falls`` bool (n - 1, m - 1): whether a quad is cut from (i, j) to

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
+from skugga.terrain.compiled import compiled, internal
 
 ON_COLUMN = 1e-9
 """How far from a column, in cells, a line runs on it: under suns along the axes and diagonals all lines do, but for rounding, and

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.sweep.grid import (
+from skugga.shadows.sweep.grid import (
     HIGHER_DIAGONALS,
     NO_LEVELS,
     GridOrientation,
@@ -18,16 +18,16 @@ from shadows.sweep.grid import (
     orientation_towards,
     position_cubics,
 )
-from shadows.sweep.lines import TurnedGrid
-from terrain.cache import MIB, cached
-from terrain.casters.reach import PATCH_QUADS, Patch
-from terrain.compiled import compiled, in_shares
-from terrain.gbuffer.ground_mesh import GroundMesh, ground_nodes
-from terrain.geo.grid import Grid
-from terrain.geo.light_space import LightSpace
-from terrain.geo.world import LocalFrame
-from terrain.ground.surface import HeightWindow, NodeHeights
-from terrain.scene import Scene
+from skugga.shadows.sweep.lines import TurnedGrid
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.reach import PATCH_QUADS, Patch
+from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_nodes
+from skugga.terrain.geo.grid import Grid
+from skugga.terrain.geo.light_space import LightSpace
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.ground.surface import HeightWindow, NodeHeights
+from skugga.terrain.scene import Scene
 
 FITTED_POINTS = 256
 """Points whose places are computed exactly, and that the places of more are fitted to."""

@@ -1,12 +1,12 @@
 """`sweep`: the sun's shadows of a heightfield by lines along the sun's azimuth, in time linear in its nodes; no OpenGL.
 
-``shadows.sweep.lines`` says how. The ground that casts is the drawn one at full detail, and every azimuth is as good as any other.
-Ground alone casts; what is shaded may be anything that stands on it: a line knows at each place the height above which the sun
-is seen.
+``skugga.shadows.sweep.lines`` says how. The ground that casts is the drawn one at full detail, and every azimuth is as good as any
+other. Ground alone casts; what is shaded may be anything that stands on it: a line knows at each place the height above which the
+sun is seen.
 
-**Windows.** Ground towards the sun comes in patches, ever more coarsely from some distance on (``terrain.casters.reach``). Each
-detail is swept in its turn, the coarsest first, and hands over to the next what its lines have met: the order along a line does
-not matter, only that all of it lies towards the sun. Within a detail strips of lines go their own way, on several cores.
+**Windows.** Ground towards the sun comes in patches, ever more coarsely from some distance on (``skugga.terrain.casters.reach``).
+Each detail is swept in its turn, the coarsest first, and hands over to the next what its lines have met: the order along a line
+does not matter, only that all of it lies towards the sun. Within a detail strips of lines go their own way, on several cores.
 
 **Lines.** A place's t is its light-space coordinate to the right, in cells: the same for all points of a ray. Where the rays run
 on a grid is computed for ground of middling height. The vertical leans by a hundredth of a degree per kilometre, so ground that
@@ -18,7 +18,7 @@ share lines and points, and only the levels are tilted. The horizon is taken to 
 **Points.** A map's nodes are answered where they lie. Other points are sorted into the rows that they lie between. Those of the
 ground take their level from the very triangles that cast. In perspective these are the drawn ground's, decimated or not.
 
-**Columns.** Over ground that is upright columns each point has its own ray (``shadows.sweep.columns``).
+**Columns.** Over ground that is upright columns each point has its own ray (``skugga.shadows.sweep.columns``).
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
-from shadows.passes import PassLog, PassRecord
-from shadows.sweep.columns import column_sweep
-from shadows.sweep.grid import NO_LEVELS, RAYS_BEND_REASON, GridOrientation, SweepPoints, state_after, sweep_nodes
-from shadows.sweep.lines import NO_GROUND_LEVEL
-from shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_of_block, rays_over
-from shadows.sweep.settings import SweepSettings, resolve_sweep
-from shadows.work import Work, Workload, is_decimated
-from terrain.casters.reach import Casters, Patch, Receivers
-from terrain.compiled import CORES, compiled, in_shares
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.bare_nodes import BareNodes
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import RELIEF
-from terrain.geo.grid import MapView
-from terrain.geo.light_space import light_bounds
-from terrain.geo.sun import SUN_RADIUS_DEG
-from terrain.level.level import CasterKind
-from terrain.scene import Scene
+from skugga.shadows.algorithm import Accuracy, Algorithm, AlgorithmSettings, Cost, Mark, Requirement, Search
+from skugga.shadows.passes import PassLog, PassRecord
+from skugga.shadows.sweep.columns import column_sweep
+from skugga.shadows.sweep.grid import NO_LEVELS, RAYS_BEND_REASON, GridOrientation, SweepPoints, state_after, sweep_nodes
+from skugga.shadows.sweep.lines import NO_GROUND_LEVEL
+from skugga.shadows.sweep.rays import GroundWindow, SunRays, ground_of_level, grounds_of_block, rays_over
+from skugga.shadows.sweep.settings import SweepSettings, resolve_sweep
+from skugga.shadows.work import Work, Workload, is_decimated
+from skugga.terrain.casters.reach import Casters, Patch, Receivers
+from skugga.terrain.compiled import CORES, compiled, in_shares
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.bare_nodes import BareNodes
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.light_space import light_bounds
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG
+from skugga.terrain.level.level import CasterKind
+from skugga.terrain.scene import Scene
 
 PASSES = ("sweep",)
 
@@ -364,7 +364,7 @@ ALGORITHM = Algorithm(
     needs_opengl=False,
     settings=(SweepSettings,),
     resolve=resolve_sweep,
-    keeps=("shadows.sweep.rays.ground_of_level",),
+    keeps=("skugga.shadows.sweep.rays.ground_of_level",),
     search=Search(variants=({"filter": "sun"},)),
     cost=Cost(_work, calibrated=_calibrated),
     accuracy=Accuracy(

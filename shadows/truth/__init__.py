@@ -1,4 +1,1 @@
-"""The reference: `truth`, ray by ray, kept on disk; and the metrics that say how far a visibility is from it.
-
-May import: algorithm, area_light, attached, passes, work.
-"""
+"""The reference: `truth`, ray by ray, kept on disk; and the metrics that say how far a visibility is from it."""

@@ -10,19 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from shadows.truth.truth import ALL_KINDS, Truth, truth_of
-from terrain.casters.casting import caster_meshes, caster_sheets, caster_trees
-from terrain.casters.rays import OFFSET_ULPS
-from terrain.casters.reach import Casters
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.geo.sun import SUN_RADIUS_DEG
-from terrain.level.level import SUN
-from terrain.scene import Scene
-from terrain.trees.foliage import foliage
-from terrain.user_cache import arrays_kept_in, user_cache
-from terrain.whole_files import replaced_whole
+from skugga.shadows.truth.truth import ALL_KINDS, Truth, truth_of
+from skugga.terrain.casters.casting import caster_meshes, caster_sheets, caster_trees
+from skugga.terrain.casters.rays import OFFSET_ULPS
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
+from skugga.terrain.trees.foliage import foliage
+from skugga.terrain.user_cache import arrays_kept_in, user_cache
+from skugga.terrain.whole_files import replaced_whole
 
 TRUTH_CACHE_BYTES = 512 * 2**20
 """Size of the folder above which the files used longest ago go."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.truth.truth import Truth
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, internal
+from skugga.shadows.truth.truth import Truth
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, internal
 
 INTERIOR_PX = 2.0
 """Errors within this of truth's boundary (and within two texel footprints) are the boundary's, not the interior's."""

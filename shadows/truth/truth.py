@@ -1,9 +1,9 @@
 """`truth`: the sun's visibility by rays, through the same triangles and from the same points as every algorithm's.
 
 Class of a pixel: lit if its triangle's geometric normal faces the sun and a ray from its visible point, lifted off the
-triangle by the offset that ``terrain.casters.rays`` derives, meets nothing. A pixel is *decidable* if the answers at one, two and
-four offsets and at S stratified sub-samples of the pixel all agree; else it is boundary, and no error is counted there. Of a
-point that several triangles share the one that faces the sun most counts (``terrain.gbuffer.shared_points``).
+triangle by the offset that ``skugga.terrain.casters.rays`` derives, meets nothing. A pixel is *decidable* if the answers at one,
+two and four offsets and at S stratified sub-samples of the pixel all agree; else it is boundary, and no error is counted there. Of
+a point that several triangles share the one that faces the sun most counts (``skugga.terrain.gbuffer.shared_points``).
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from typing import get_args
 import numpy as np
 from pydantic import Field
 
-from shadows.algorithm import Algorithm, AlgorithmSettings, Cost, ResolvedSettings, SettingsRequest
-from shadows.area_light import disc_points, sun_disc
-from shadows.attached import attached, turned_away
-from shadows.passes import PassLog
-from shadows.work import Work, Workload
-from terrain.cache import MIB, cached
-from terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, trees_in_the_way
-from terrain.casters.rays import RayScene, trees_as_mesh
-from terrain.casters.reach import Casters, casters_of
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.geometry import GeometryBuffer, MapNodes
-from terrain.gbuffer.picture import geometry_of, shared_nodes
-from terrain.gbuffer.resolve import FOREST
-from terrain.gbuffer.shared_points import GRAZING, FacingNormals, facing_normals
-from terrain.gbuffer.smooth_ground import on_smooth_ground
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.geo.light_space import light_bounds
-from terrain.level.level import SUN, CasterKind
-from terrain.lights import light_position
-from terrain.scene import Scene
+from skugga.shadows.algorithm import Algorithm, AlgorithmSettings, Cost, ResolvedSettings, SettingsRequest
+from skugga.shadows.area_light import disc_points, sun_disc
+from skugga.shadows.attached import attached, turned_away
+from skugga.shadows.passes import PassLog
+from skugga.shadows.work import Work, Workload
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.casting import caster_meshes, caster_sheets, caster_trees, trees_in_the_way
+from skugga.terrain.casters.rays import RayScene, trees_as_mesh
+from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.geometry import GeometryBuffer, MapNodes
+from skugga.terrain.gbuffer.picture import geometry_of, shared_nodes
+from skugga.terrain.gbuffer.resolve import FOREST
+from skugga.terrain.gbuffer.shared_points import GRAZING, FacingNormals, facing_normals
+from skugga.terrain.gbuffer.smooth_ground import on_smooth_ground
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.light_space import light_bounds
+from skugga.terrain.level.level import SUN, CasterKind
+from skugga.terrain.lights import light_position
+from skugga.terrain.scene import Scene
 
 UNLIMITED_TRIANGLES = 2**31
 """A limit that no ground reaches: its mesh is whole."""
@@ -376,6 +376,6 @@ ALGORITHM = Algorithm(
     needs_opengl=False,
     settings=(TruthSettings,),
     resolve=_resolve,
-    keeps=("shadows.truth.truth.ray_scene",),
+    keeps=("skugga.shadows.truth.truth.ray_scene",),
     cost=Cost(_work, calibrated=_calibrated),
 )

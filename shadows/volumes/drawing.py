@@ -9,7 +9,7 @@ plane's rectangle (Everitt and Kilgard 2002). A map is seen from infinitely far 
 hold even that place count in every pixel.
 
 Volumes are drawn in rectangles of tiles that hold points, and of the faces only those that matter there
-(``shadows.volumes.tiles``).
+(``skugga.shadows.volumes.tiles``).
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from shadows.passes import PassRecord
-from shadows.volumes.layers import may_shade_near
-from shadows.volumes.settings import StencilSettings
-from shadows.volumes.tiles import culled, depth_bounds, marked_tiles, rectangles
-from shadows.volumes.views import SeenPoints, near_plane_m, own_points, pixels_seen, receiving, sample_points
-from shadows.volumes.volumes import Volumes
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.geo.grid import MapView
-from terrain.gl.device import Device, device
-from terrain.gl.stencil import MARK_BIT, Counting, Side
-from terrain.scene import Scene
+from skugga.shadows.passes import PassRecord
+from skugga.shadows.volumes.layers import may_shade_near
+from skugga.shadows.volumes.settings import StencilSettings
+from skugga.shadows.volumes.tiles import culled, depth_bounds, marked_tiles, rectangles
+from skugga.shadows.volumes.views import SeenPoints, near_plane_m, own_points, pixels_seen, receiving, sample_points
+from skugga.shadows.volumes.volumes import Volumes
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.gl.device import Device, device
+from skugga.terrain.gl.stencil import MARK_BIT, Counting, Side
+from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
     import moderngl
@@ -42,7 +42,7 @@ MAP_STEPS = 16.0
 """Steps of a float32 depth that faces are drawn farther away in a map: seen from above, the faces of a sun on the horizon are
 level, and have no slope that would move them. Corners, their clip coordinates and what a rasteriser makes of a face that goes to
 infinity are each rounded to a few; truth's rays start as many units in the last place off their triangles
-(``terrain.casters.rays``).
+(``skugga.terrain.casters.rays``).
 """
 
 ALONG = 1e-6

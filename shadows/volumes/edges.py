@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.compiled import compiled
-from terrain.errors import InputError
+from skugga.terrain.compiled import compiled
+from skugga.terrain.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.volumes.edges import Edges, connected_parts
-from shadows.volumes.silhouettes import Silhouette, homogeneous, silhouette
-from terrain.compiled import compiled, internal
-from terrain.errors import InputError
+from skugga.shadows.volumes.edges import Edges, connected_parts
+from skugga.shadows.volumes.silhouettes import Silhouette, homogeneous, silhouette
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.errors import InputError
 
 MAX_STENCIL_LAYERS = 255
 """The largest number of layers that a stencil of 8 bits holds."""

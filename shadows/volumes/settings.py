@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from shadows.algorithm import AlgorithmSettings, AreaSettings, Reasoned, ResolvedSettings, SettingsRequest
-from terrain.level.level import Shadows
+from skugga.shadows.algorithm import AlgorithmSettings, AreaSettings, Reasoned, ResolvedSettings, SettingsRequest
+from skugga.terrain.level.level import Shadows
 
 
 class StencilSettings(AlgorithmSettings):

@@ -1,25 +1,25 @@
 """`shadow_volume`: the volumes of shadow behind casters, counted in the stencil. Exact to the pixel, whatever the resolution.
 
-``shadows.volumes.volumes`` says what volumes are made of, ``shadows.volumes.drawing`` how they are counted.
+``skugga.shadows.volumes.volumes`` says what volumes are made of, ``skugga.shadows.volumes.drawing`` how they are counted.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from shadows.algorithm import DRAWS_IN_THE_VIEW, FEW_MAP_SIZES, Algorithm, Cost, Mark, Requirement, Search
-from shadows.area_light import mean_over_light
-from shadows.attached import attached
-from shadows.passes import PassLog
-from shadows.volumes.drawing import count, faces_before, silhouettes_seen
-from shadows.volumes.settings import VolumeSettings, resolve_volumes
-from shadows.volumes.volumes import volumes_of
-from shadows.volumes.work import volume_work
-from terrain.casters.reach import Casters
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.level.level import CasterKind
-from terrain.scene import Scene
+from skugga.shadows.algorithm import DRAWS_IN_THE_VIEW, FEW_MAP_SIZES, Algorithm, Cost, Mark, Requirement, Search
+from skugga.shadows.area_light import mean_over_light
+from skugga.shadows.attached import attached
+from skugga.shadows.passes import PassLog
+from skugga.shadows.volumes.drawing import count, faces_before, silhouettes_seen
+from skugga.shadows.volumes.settings import VolumeSettings, resolve_volumes
+from skugga.shadows.volumes.volumes import volumes_of
+from skugga.shadows.volumes.work import volume_work
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.level.level import CasterKind
+from skugga.terrain.scene import Scene
 
 PASSES = ("silhouettes", "stencil")
 
@@ -70,7 +70,7 @@ NO_VOLUME: dict[Requirement, str] = {
 }
 """What no volume can serve, and why."""
 
-KEEPS = ("shadows.volumes.volumes", "shadows.volumes.volumes._structure", "shadows.volumes.volumes._has_gaps")
+KEEPS = ("skugga.shadows.volumes.volumes", "skugga.shadows.volumes.volumes._structure", "skugga.shadows.volumes.volumes._has_gaps")
 """Caches of volumes."""
 
 ALGORITHM = Algorithm(

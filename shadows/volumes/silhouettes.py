@@ -31,11 +31,11 @@ from typing import Literal
 
 import numpy as np
 
-from shadows.volumes.edges import Edges, signed_sums
-from terrain.compiled import compiled
-from terrain.errors import InputError
-from terrain.ground.columns import ColumnSheet
-from terrain.ground.sheet import Sheet, sheet_triangles
+from skugga.shadows.volumes.edges import Edges, signed_sums
+from skugga.terrain.compiled import compiled
+from skugga.terrain.errors import InputError
+from skugga.terrain.ground.columns import ColumnSheet
+from skugga.terrain.ground.sheet import Sheet, sheet_triangles
 
 FacingRule = Literal["facing", "turned_away", "all"]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
+from skugga.terrain.compiled import compiled, internal
 
 CULLING_TILE_PX = 8
 """Side of the tiles that rectangles are put together from."""

@@ -21,19 +21,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from shadows.volumes.volumes import ground_has_gaps
-from terrain.casters.clip_space import affine_parts, camera_clip, map_clip
-from terrain.compiled import compiled
-from terrain.gbuffer.antialias import finer_view
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
-from terrain.gbuffer.resolve import MESHES, RELIEF
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.geo.light_space import light_bounds
-from terrain.gl.device import Device
-from terrain.ground.sheet import Sheet
-from terrain.scene import Scene
+from skugga.shadows.volumes.volumes import ground_has_gaps
+from skugga.terrain.casters.clip_space import affine_parts, camera_clip, map_clip
+from skugga.terrain.compiled import compiled
+from skugga.terrain.gbuffer.antialias import finer_view
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.id_buffer import NEAR_M, set_uniforms, shader
+from skugga.terrain.gbuffer.resolve import MESHES, RELIEF
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.light_space import light_bounds
+from skugga.terrain.gl.device import Device
+from skugga.terrain.ground.sheet import Sheet
+from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
     from moderngl import Framebuffer, Program

@@ -1,7 +1,7 @@
 """Shadow volumes as triangles: built once for a light and what casts, and kept while both rest.
 
 The volume of a set of casting triangles is bounded by these, by a side for each edge of their silhouette, and by their images
-infinitely far away from the light (``shadows.volumes.silhouettes`` says which triangles cast and what a silhouette is). In
+infinitely far away from the light (``skugga.shadows.volumes.silhouettes`` says which triangles cast and what a silhouette is). In
 homogeneous coordinates what lies at infinity is a point like any other (C. Everitt and M. Kilgard, Practical and Robust Stenciled
 Shadow Volumes for Hardware-Accelerated Rendering, 2002):
 
@@ -13,7 +13,7 @@ everything is that is seen, those that do not: its near caps lie on what is dark
 manifold, all triangles; and so of a body that a lamp stands in, and of ground with gaps.
 
 **Numbers.** A stencil of n bits tells 2^n - 1 layers apart. Casters are drawn in batches of which none can cover a point more often
-(``shadows.volumes.layers``).
+(``skugga.shadows.volumes.layers``).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shadows.passes import PassRecord
-from shadows.volumes.edges import Edges, closed_parts, connected_parts, edges_of
-from shadows.volumes.layers import batches
-from shadows.volumes.silhouettes import (
+from skugga.shadows.passes import PassRecord
+from skugga.shadows.volumes.edges import Edges, closed_parts, connected_parts, edges_of
+from skugga.shadows.volumes.layers import batches
+from skugga.shadows.volumes.silhouettes import (
     ALL_CODE,
     FACING_CODE,
     TURNED_AWAY_CODE,
@@ -35,14 +35,14 @@ from shadows.volumes.silhouettes import (
     silhouette,
     turns_of,
 )
-from terrain.cache import MIB, Cache, Missing, cached
-from terrain.casters.casting import Mesh, caster_sheets, caster_solids
-from terrain.casters.reach import Casters
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.ground_mesh import ground_nodes
-from terrain.ground.sheet import Sheet
-from terrain.level.level import CasterKind
-from terrain.scene import Scene
+from skugga.terrain.cache import MIB, Cache, Missing, cached
+from skugga.terrain.casters.casting import Mesh, caster_sheets, caster_solids
+from skugga.terrain.casters.reach import Casters
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.ground_mesh import ground_nodes
+from skugga.terrain.ground.sheet import Sheet
+from skugga.terrain.level.level import CasterKind
+from skugga.terrain.scene import Scene
 
 MAX_VOLUME_LAYERS = 127
 """Layers that a stencil with one bit for marks can count."""
@@ -90,7 +90,7 @@ class Volumes:
         return self.vertices.nbytes + self.faces.nbytes
 
 
-_kept: Cache[list[Volumes]] = Cache("shadows.volumes.volumes", "light", 1024 * MIB)
+_kept: Cache[list[Volumes]] = Cache("skugga.shadows.volumes.volumes", "light", 1024 * MIB)
 
 
 def volumes_of(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from shadows.area_light import times_points
-from shadows.volumes.settings import StencilSettings, VolumeSettings
-from shadows.volumes.tiles import CULLING_TILE_PX, LEAST_TILES, RECTANGLE_FACES
-from shadows.work import Counts, Work, Workload
-from terrain.casters.clip_space import AFFINE_PART_PX
-from terrain.casters.reach import PATCH_QUADS
-from terrain.level.level import SUN
+from skugga.shadows.area_light import times_points
+from skugga.shadows.volumes.settings import StencilSettings, VolumeSettings
+from skugga.shadows.volumes.tiles import CULLING_TILE_PX, LEAST_TILES, RECTANGLE_FACES
+from skugga.shadows.work import Counts, Work, Workload
+from skugga.terrain.casters.clip_space import AFFINE_PART_PX
+from skugga.terrain.casters.reach import PATCH_QUADS
+from skugga.terrain.level.level import SUN
 
 MARKED_LAYERS = 50.0
 """How many layers drawn in all of the picture take the time of one drawn in marked pixels only: few fill a rectangle there."""

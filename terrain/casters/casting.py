@@ -6,16 +6,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.casters.reach import PATCH_QUADS, Casters
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.tree_instances import TreeInstances
-from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame
-from terrain.ground.sheet import Sheet
-from terrain.level.level import CasterKind
-from terrain.scene import Scene
-from terrain.scene_objects import SceneObjects
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.reach import PATCH_QUADS, Casters
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.tree_instances import TreeInstances
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.ground.sheet import Sheet
+from skugga.terrain.level.level import CasterKind
+from skugga.terrain.scene import Scene
+from skugga.terrain.scene_objects import SceneObjects
 
 Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices (n, 3) float64 in a frame and triangles (m, 3) int32."""

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.casters.reach import overview_on_grid
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import Grid, MapView
-from terrain.geo.world import LocalFrame, World
-from terrain.scene import Scene
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.reach import overview_on_grid
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import Grid, MapView
+from skugga.terrain.geo.world import LocalFrame, World
+from skugga.terrain.scene import Scene
 
 AFFINE_PART_PX = 256
 """Side of the parts, in pixels."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.geo.grid import Grid
-from terrain.geo.light_space import LightSpace
-from terrain.geo.world import transformer
-from terrain.scene import Scene
+from skugga.terrain.geo.grid import Grid
+from skugga.terrain.geo.light_space import LightSpace
+from skugga.terrain.geo.world import transformer
+from skugga.terrain.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)

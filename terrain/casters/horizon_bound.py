@@ -25,17 +25,17 @@ from typing import Literal
 
 import numpy as np
 
-from terrain.cache import MIB, Cache, Missing
-from terrain.casters.reach import PATCH_QUADS, Patch, Receivers
-from terrain.compiled import compiled, internal
-from terrain.geo.grid import Grid, MapView
-from terrain.geo.sun import SUN_RADIUS_DEG
-from terrain.geo.world import World
-from terrain.ground.elevation import Elevation
-from terrain.ground.extremes import widen
-from terrain.ground.grid_key import grid_key
-from terrain.ground.surface import RefinedWindow, Surface, refined_row
-from terrain.scene import Scene
+from skugga.terrain.cache import MIB, Cache, Missing
+from skugga.terrain.casters.reach import PATCH_QUADS, Patch, Receivers
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.geo.grid import Grid, MapView
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG
+from skugga.terrain.geo.world import World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.extremes import widen
+from skugga.terrain.ground.grid_key import grid_key
+from skugga.terrain.ground.surface import RefinedWindow, Surface, refined_row
+from skugga.terrain.scene import Scene
 
 DISC_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
 """Sine of the angle from the middle of the sun's disc to its rim."""
@@ -287,7 +287,9 @@ def _grid_of(receivers: Receivers) -> Grid:
     return receivers.view.grid
 
 
-_known_patches: Cache[np.ndarray] = Cache("terrain.casters.horizon_bound", "scene", 32 * MIB, lambda known: known.nbytes + 512)
+_known_patches: Cache[np.ndarray] = Cache(
+    "skugga.terrain.casters.horizon_bound", "scene", 32 * MIB, lambda known: known.nbytes + 512
+)
 
 
 def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:

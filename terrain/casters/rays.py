@@ -1,7 +1,7 @@
 """Rays through the very triangles that are drawn: Embree, with offsets derived from its float32.
 
-Few rays of one direction are walked through sheets of nodes instead (``terrain.casters.sheet_rays``), from the same starts: their
-float64 needs no offset as large, but what is asked at offsets is to be the same.
+Few rays of one direction are walked through sheets of nodes instead (``skugga.terrain.casters.sheet_rays``), from the same starts:
+their float64 needs no offset as large, but what is asked at offsets is to be the same.
 
 **Offset.** Embree works in float32. Coordinates are taken from the middle of the geometry, so that with X the largest one
 every vertex and every origin is off by at most half a unit in the last place per axis: sqrt(3) X 2^-24. A triangle's plane and a
@@ -24,14 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from terrain.cache import bytes_of
-from terrain.casters.sheet_rays import SheetRays
-from terrain.compiled import compiled
-from terrain.errors import RenderError
-from terrain.gbuffer.tree_instances import TreeInstances
-from terrain.ground.sheet import Sheet
-from terrain.interpolation import bilinear
-from terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.cache import bytes_of
+from skugga.terrain.casters.sheet_rays import SheetRays
+from skugga.terrain.compiled import compiled
+from skugga.terrain.errors import RenderError
+from skugga.terrain.gbuffer.tree_instances import TreeInstances
+from skugga.terrain.ground.sheet import Sheet
+from skugga.terrain.interpolation import bilinear
+from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
 OFFSET_ULPS = 16.0
 MAX_LAYERS = 256
@@ -63,8 +63,8 @@ class RayScene:
     in one frame, metres.
 
     ``offset_m`` is the derived distance by which a start is lifted off its triangle. ``walked``: rays are few and all in one
-    direction, so they are walked through the sheets (``terrain.casters.sheet_rays``); else Embree takes these as well, which makes
-    a copy of them and sorts it first.
+    direction, so they are walked through the sheets (``skugga.terrain.casters.sheet_rays``); else Embree takes these as well, which
+    makes a copy of them and sorts it first.
     """
 
     def __init__(

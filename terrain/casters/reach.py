@@ -3,7 +3,7 @@
 Everything here goes by light space, where the earth's curvature is in the points already: ground can shade a block if it
 lies before the block's farthest receiver, within its width, and not wholly below its lowest receiver as the sun sees it.
 The candidates come from the raster's overview, those near a block that is small beside its cells from what is known of these
-(``terrain.casters.fine_cells``); the ground that casts is then read on the block's own grid (so that
+(``skugga.terrain.casters.fine_cells``); the ground that casts is then read on the block's own grid (so that
 neighbouring blocks see identical casters), and ever more coarsely from ``FULL_DETAIL_NODES`` on, sooner where the grid is much
 finer than the raster.
 """
@@ -16,15 +16,15 @@ from typing import Protocol
 import numpy as np
 from pyproj import CRS
 
-from terrain.cache import MIB, cached
-from terrain.casters.fine_cells import fine_cells
-from terrain.gbuffer.bare_nodes import BareNodes
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import Grid, MapView
-from terrain.geo.light_space import LightSpace, light_bounds
-from terrain.geo.sun import position_at
-from terrain.geo.world import (
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.fine_cells import fine_cells
+from skugga.terrain.gbuffer.bare_nodes import BareNodes
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import Grid, MapView
+from skugga.terrain.geo.light_space import LightSpace, light_bounds
+from skugga.terrain.geo.sun import position_at
+from skugga.terrain.geo.world import (
     EARTH_RADIUS_M,
     LONGITUDE_LATITUDE,
     WGS84,
@@ -34,10 +34,10 @@ from terrain.geo.world import (
     is_longitude_latitude,
     transformer,
 )
-from terrain.ground.columns import ColumnWindow, PlacedOnColumns
-from terrain.ground.elevation import Elevation
-from terrain.ground.surface import NodeHeights
-from terrain.scene import Scene
+from skugga.terrain.ground.columns import ColumnWindow, PlacedOnColumns
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.surface import NodeHeights
+from skugga.terrain.scene import Scene
 
 PATCH_QUADS = 256
 """Side of a patch of casters in quads; patches lie on multiples of it, counted from the grid's origin."""
@@ -122,7 +122,7 @@ class Receivers(Protocol):
 class Casters:
     """What can shade a block besides its own ground: patches of ground outside, and how far they were looked for.
 
-    ``idle`` are those of the patches that provably throw no shadow on the block (``terrain.casters.horizon_bound``).
+    ``idle`` are those of the patches that provably throw no shadow on the block (``skugga.terrain.casters.horizon_bound``).
     """
 
     patches: tuple[Patch, ...]

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import CORES, compiled, internal, on_cores
-from terrain.ground.sheet import Sheet
+from skugga.terrain.compiled import CORES, compiled, internal, on_cores
+from skugga.terrain.ground.sheet import Sheet
 
 LEAST_TILE_QUADS = 4
 """Quads along a side of the lowest tiles: all of them are looked at where a ray meets the tile's box."""

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.casters.reach import overview_on_grid
-from terrain.compiled import compiled
-from terrain.gbuffer.ground_mesh import GroundMesh
-from terrain.geo.grid import BLOCK_PX, Grid
-from terrain.geo.world import LocalFrame, World
-from terrain.ground.elevation import Elevation
-from terrain.ground.surface import Surface
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.reach import overview_on_grid
+from skugga.terrain.compiled import compiled
+from skugga.terrain.gbuffer.ground_mesh import GroundMesh
+from skugga.terrain.geo.grid import BLOCK_PX, Grid
+from skugga.terrain.geo.world import LocalFrame, World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.surface import Surface
 
 DIRECTIONS = 64
 

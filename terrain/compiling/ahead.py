@@ -9,7 +9,8 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).parents[3]
+"""The folder that holds the package ``skugga``: of a clone its root, of an installation ``site-packages``."""
 
 MAPS, MAPS_OF_CASTERS, PICTURES, MASKS = "map tiles", "maps of woods and buildings", "pictures", "masks"
 SUN_HOURS, POINTS, VIEWS = "hours of sun", "points", "perspective views"
@@ -46,7 +47,7 @@ def compile_ahead(
     on_start
         Called with the process that compiles. Killing it ends the work; what it has compiled is stored.
     """
-    command = [sys.executable, "-m", "terrain.compiling.farm", f"--processes={processes}", *["--background"] * background]
+    command = [sys.executable, "-m", "skugga.terrain.compiling.farm", f"--processes={processes}", *["--background"] * background]
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, "PYTHONPATH": path}
     try:

@@ -1,4 +1,4 @@
-"""A process that compiles loops ahead, on several cores, and stores them: ``python -m terrain.compiling.farm``.
+"""A process that compiles loops ahead, on several cores, and stores them: ``python -m skugga.terrain.compiling.farm``.
 
 It imports the modules of the loops once, then forks one child for each core. A loop is compiled when the loops that it calls are
 stored, so that no two children compile the same. Products go in the order of the command line, and of each the longest chain of
@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 
 from numba.core.dispatcher import Dispatcher
 
-from terrain.compiling.loop_cache import LoopCache, loop_store
-from terrain.compiling.parent_process import end_with_parent
-from terrain.compiling.signatures import recorded_signatures
+from skugga.terrain.compiling.loop_cache import LoopCache, loop_store
+from skugga.terrain.compiling.parent_process import end_with_parent
+from skugga.terrain.compiling.signatures import recorded_signatures
 
 LOWEST_PRIORITY = 19
 """See nice(2)."""

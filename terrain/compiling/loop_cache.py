@@ -21,9 +21,9 @@ from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 from numba.core.types import Type
 
-from terrain.compiling.digest import UnknownValueError, describe_function, describe_types, digest
-from terrain.compiling.hooks import report_missing_loop
-from terrain.compiling.store import LoopStore, default_store
+from skugga.terrain.compiling.digest import UnknownValueError, describe_function, describe_types, digest
+from skugga.terrain.compiling.hooks import report_missing_loop
+from skugga.terrain.compiling.store import LoopStore, default_store
 
 ENTRY_FORMAT = 1
 """Version of what an entry holds."""

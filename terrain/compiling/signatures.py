@@ -29,7 +29,7 @@ class Signature:
     Attributes
     ----------
     loop : str
-        Module and name, as ``terrain.ground.surface:height_at``.
+        Module and name, as ``skugga.terrain.ground.surface:height_at``.
     args : str
         Types of the arguments, encoded as JSON.
     products : tuple of str

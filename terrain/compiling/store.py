@@ -16,8 +16,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from terrain.compiling.bundle import FOLDER
-from terrain.user_cache import user_cache
+from skugga.terrain.compiling.bundle import FOLDER
+from skugga.terrain.user_cache import user_cache
 
 FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
 """Environment variable that names another folder than the user's cache."""

@@ -5,17 +5,17 @@ Left out, no depth program holds a texture look-up at all.
 
 from __future__ import annotations
 
-from terrain.effects import cast_shadows
-from terrain.effects.effect import Effect, Verdict
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact
-from terrain.gbuffer.covered_nodes import drawn_view
-from terrain.gbuffer.tree_instances import map_draws_trees, tree_instances_in_perspective
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.ground.surface import map_pixel_m
-from terrain.scene import Scene
+from skugga.terrain.effects import cast_shadows
+from skugga.terrain.effects.effect import Effect, Verdict
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact
+from skugga.terrain.gbuffer.covered_nodes import drawn_view
+from skugga.terrain.gbuffer.tree_instances import map_draws_trees, tree_instances_in_perspective
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.scene import Scene
 
 
 def called_for(descriptor: Descriptor) -> Verdict:

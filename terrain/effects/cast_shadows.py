@@ -13,22 +13,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.casters.slopes import Corridor, above_mesh, above_slopes, grid_slopes, node_count
-from terrain.compiled import compiled
-from terrain.effects.effect import Effect, Verdict
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact, number
-from terrain.gbuffer.covered_nodes import drawn_view
-from terrain.gbuffer.ground_mesh import ground_mesh
-from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.geo.light_space import LightSpace
-from terrain.geo.sun import SUN_RADIUS_DEG, direction_enu
-from terrain.scene import Scene
-from terrain.scene_objects import SceneObjects
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.slopes import Corridor, above_mesh, above_slopes, grid_slopes, node_count
+from skugga.terrain.compiled import compiled
+from skugga.terrain.effects.effect import Effect, Verdict
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact, number
+from skugga.terrain.gbuffer.covered_nodes import drawn_view
+from skugga.terrain.gbuffer.ground_mesh import ground_mesh
+from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.light_space import LightSpace
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG, direction_enu
+from skugga.terrain.scene import Scene
+from skugga.terrain.scene_objects import SceneObjects
 
 COARSE_NODES = 2**18
 """Nodes of the coarse ground that is tried first: where it casts, the finer one does."""

@@ -12,23 +12,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, internal
-from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
-from terrain.effects.haze import farthest_mesh_m
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact, number
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.ground.elevation import Elevation
-from terrain.ground.noise import OCTAVE_GAIN, noise_at
-from terrain.ground.surface import map_pixel_m
-from terrain.ground.visible_cells import CellRange, full_cell_range, visible_cells
-from terrain.interpolation_loops import smoothstep_of
-from terrain.scene import Scene
-from terrain.shading import daylight_of, night_of
-from terrain.shading_loops import dusk_of
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
+from skugga.terrain.effects.haze import farthest_mesh_m
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact, number
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.noise import OCTAVE_GAIN, noise_at
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.ground.visible_cells import CellRange, full_cell_range, visible_cells
+from skugga.terrain.interpolation_loops import smoothstep_of
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import daylight_of, night_of
+from skugga.terrain.shading_loops import dusk_of
 
 LAYER_M, CLEARANCE_M = 1500.0, 500.0
 """Height of the clouds over the level's mean ground; over its highest they are at least this high."""
@@ -49,7 +49,7 @@ THROUGH = 0.25
 """Share of the direct sun that the densest cloud lets through under a broken sky."""
 
 MAX_NOISE, MAX_NOISE_SLOPE = 0.756, 2.32
-"""Bounds of the value and of the slope of ``terrain.ground.noise.noise_at``, over all its gradients."""
+"""Bounds of the value and of the slope of ``skugga.terrain.ground.noise.noise_at``, over all its gradients."""
 
 NOISE_BOUND = MAX_NOISE * (1.0 - OCTAVE_GAIN**CLOUD_OCTAVES) / (1.0 - OCTAVE_GAIN)
 """Bound of the value of all octaves."""
@@ -61,8 +61,8 @@ UNSEEN = 0.008
 """Share of the direct sun whose loss no pixel shows.
 
 Light that loses a share ``a`` loses ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``, of its sRGB code, which is at most 1.055 (with
-the code's own offset; less still in the linear part near black, and where the shoulder of ``terrain.shading_loops`` holds it). That
-is a step of 1/255 for ``a`` = 0.0089; the rest is left for the 4096 steps of the table that encodes.
+the code's own offset; less still in the linear part near black, and where the shoulder of ``skugga.terrain.shading_loops`` holds
+it). That is a step of 1/255 for ``a`` = 0.0089; the rest is left for the 4096 steps of the table that encodes.
 """
 
 SEEN_LEAST = 0.25
@@ -149,7 +149,7 @@ def _noise_on(x):
 @compiled
 def _noise(x_m, y_m, low, high):
     """The octaves at a place; what the coarse ones put below ``low`` or over ``high`` for good is not worked out further."""
-    # Turned off the axes, and each octave by the angle of the 3-4-5 triangle, as in ``terrain.ground.noise``.
+    # Turned off the axes, and each octave by the angle of the 3-4-5 triangle, as in ``skugga.terrain.ground.noise``.
     x, y = (0.6 * x_m - 0.8 * y_m) / WIDEST_M, (0.8 * x_m + 0.6 * y_m) / WIDEST_M
     total, amplitude = 0.0, 1.0
     for k in range(CLOUD_OCTAVES):
@@ -269,7 +269,8 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 def _direct_share(scene: Scene) -> float:
     """Largest share of a point's light that comes straight from the sun, in any channel.
 
-    The sun fades in over the first degree (``terrain.shading_loops``). Anything may face it, but for bare ground at one height.
+    The sun fades in over the first degree (``skugga.terrain.shading_loops``). Anything may face it, but for bare ground at one
+    height.
     """
     light, sine = daylight_of(scene), float(np.sin(np.radians(scene.highest_sun_deg or 0.0)))
     night = night_of(scene)

@@ -5,7 +5,7 @@ it draws a sharp line down each crown, and streaks when the sun is low. In a rea
 from everywhere: behind one layer of them there is still a good part of it (a leaf lets about a tenth of green light through and
 scatters as much; what is left comes through the gaps). So on foliage, and there alone, the share ``THROUGH_LEAVES`` of the sun's
 light gets past other foliage. Past ground and meshes none does: a ray from the point says what stands there. Its form a crown has
-from its normals (``terrain.gbuffer.resolve``), its grain from the pictures.
+from its normals (``skugga.terrain.gbuffer.resolve``), its grain from the pictures.
 
 Visibilities, masks and everything that is measured stay as they are: this is shading alone. In maps, where the level quad is
 seen, there is no cross to hide.
@@ -15,20 +15,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled, in_shares
-from terrain.effects.cast_shadows import trees_seen
-from terrain.effects.effect import Effect, ShadingBlock, Verdict
-from terrain.effects.haze import trees_in_view
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact
-from terrain.facts.mesh_rays import first_mesh_hits
-from terrain.facts.relief_rays import hidden_by_relief
-from terrain.gbuffer.resolve import FOREST
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.scene import Scene
-from terrain.shading import daylight_of
+from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.effects.cast_shadows import trees_seen
+from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict
+from skugga.terrain.effects.haze import trees_in_view
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact
+from skugga.terrain.facts.mesh_rays import first_mesh_hits
+from skugga.terrain.facts.relief_rays import hidden_by_relief
+from skugga.terrain.gbuffer.resolve import FOREST
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import daylight_of
 
 THROUGH_LEAVES = 0.65
 """Share of the sun's light that reaches leaves behind other leaves."""

@@ -8,14 +8,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.ground.surface import map_pixel_m
-from terrain.scene import Scene
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.scene import Scene
 
 CHANNEL_STEP = 1.0 / 255.0
 """What can be seen at least: a step of an 8-bit channel. An effect that changes no pixel by more is not called for."""
@@ -26,7 +26,7 @@ Stage = Literal["albedo", "sunlight", "skylight", "lamplight", "color"]
 - ``albedo``: linear albedo (rows, cols, 3) of what is seen;
 - ``sunlight``: the share of the sun's direct light (rows, cols) that arrives, shadows taken into account;
 - ``skylight``: the share of the sky (rows, cols) that is seen;
-- ``lamplight``: light besides the sun's and the sky's (rows, cols, 3), in the units of ``terrain.shading``;
+- ``lamplight``: light besides the sun's and the sky's (rows, cols, 3), in the units of ``skugga.terrain.shading``;
 - ``color``: linear display colour (rows, cols, 3), the sky of a perspective view included.
 
 All are float32 and changed in place.
@@ -47,7 +47,7 @@ class Verdict:
 class ShadingBlock:
     """A part of a picture while it is made: what is seen, and each light's visibility there (rows, cols).
 
-    Rows of the buffer below the view's own are further samples of its pixels (``terrain.gbuffer.antialias``).
+    Rows of the buffer below the view's own are further samples of its pixels (``skugga.terrain.gbuffer.antialias``).
     """
 
     scene: Scene
@@ -88,7 +88,7 @@ class Effect:
         Evaluated per (level, zoom, sun) or per view, never per tile.
     stage, part
         What it changes, and the function that does: a pass of the effect's name. ``None`` for switches of the pipeline
-        (``terrain.effects.SWITCHES`` says what each of them switches, and where).
+        (``skugga.terrain.effects.SWITCHES`` says what each of them switches, and where).
     needs
         Effects without which it has nothing to do.
     unknown

@@ -15,19 +15,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares, internal
-from terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact, number
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import RELIEF
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.ground.noise import noise_along
-from terrain.scene import Scene
-from terrain.shading import SHORE_M
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact, number
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.noise import noise_along
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import SHORE_M
 
 GROUND_WAVES = (
     (47.0, 0.10), (19.0, 0.09), (7.3, 0.09), (2.9, 0.11), (1.1, 0.15), (0.43, 0.19), (0.17, 0.22), (0.067, 0.22),

@@ -31,22 +31,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares, internal
-from terrain.effects.effect import Effect, ShadingBlock, Verdict
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact
-from terrain.gbuffer.picture import solids_in
-from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame, geodetic
-from terrain.scene import Scene
-from terrain.shading import daylight_of
-from terrain.shading_loops import shoulder
-from terrain.sky import horizon_colors, passing, sky_colors, sky_of, sunward
-from terrain.srgb import srgb_of_linear
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact
+from skugga.terrain.gbuffer.picture import solids_in
+from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_perspective
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame, geodetic
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import daylight_of
+from skugga.terrain.shading_loops import shoulder
+from skugga.terrain.sky import horizon_colors, passing, sky_colors, sky_of, sunward
+from skugga.terrain.srgb import srgb_of_linear
 
 CONTRAST = 0.02
 """What is left of a black object's contrast with the horizon at the distance called visibility."""
@@ -61,13 +61,13 @@ RAYLEIGH_PER_M = (5.802e-6, 13.558e-6, 33.1e-6)
 """Scattering of red, green and blue light by air at sea level (E. Bruneton and F. Neyret 2008)."""
 
 BIN = 1.0 / 4096.0
-"""Width of the bins of linear colour that ``terrain.shading.srgb_encoded`` tells apart."""
+"""Width of the bins of linear colour that ``skugga.terrain.shading.srgb_encoded`` tells apart."""
 
 SHARES = np.geomspace(1e-5, 1.0, 2048)
 """Shares of light that are tried out, each 0.6 % more than the one before it."""
 
 SAMPLE_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
-"""What some of a pixel's samples (``terrain.gbuffer.antialias``) make up of it."""
+"""What some of a pixel's samples (``skugga.terrain.gbuffer.antialias``) make up of it."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:

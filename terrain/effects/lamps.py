@@ -1,7 +1,7 @@
 """Extra lights: spots and omni lights, where one of them reaches the view.
 
-Their brightness at a point is ``_shine``; ``reaching_lamps`` and the glints on water (``terrain.effects.water``) go by the same
-law.
+Their brightness at a point is ``_shine``; ``reaching_lamps`` and the glints on water (``skugga.terrain.effects.water``) go by the
+same law.
 """
 
 from __future__ import annotations
@@ -10,20 +10,20 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled
-from terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.resolve import FOREST
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.ground.visible_cells import CellRange, block_slices, visible_cells
-from terrain.lights import CONE_EDGE, Lamp
-from terrain.scene import Scene
-from terrain.shading import LEAF_GLOW, daylight_of, exposure_of, night_of
-from terrain.shading_loops import LEAST_SKY, dusk_of
-from terrain.srgb import srgb_of_linear
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled
+from skugga.terrain.effects.effect import CHANNEL_STEP, Effect, ShadingBlock, Verdict
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.resolve import FOREST
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible_cells
+from skugga.terrain.lights import CONE_EDGE, Lamp
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import LEAF_GLOW, daylight_of, exposure_of, night_of
+from skugga.terrain.shading_loops import LEAST_SKY, dusk_of
+from skugga.terrain.srgb import srgb_of_linear
 
 NAMED_LAMPS = 8
 """So many lamps are named in a sentence, at most."""

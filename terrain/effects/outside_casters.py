@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.casters.slopes import extent_on_grid
-from terrain.effects import cast_shadows
-from terrain.effects.effect import Effect, Verdict
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView, blocks_of
-from terrain.ground.visible_cells import is_block
-from terrain.scene import Scene
+from skugga.terrain.casters.slopes import extent_on_grid
+from skugga.terrain.effects import cast_shadows
+from skugga.terrain.effects.effect import Effect, Verdict
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of
+from skugga.terrain.ground.visible_cells import is_block
+from skugga.terrain.scene import Scene
 
 
 def called_for(descriptor: Descriptor) -> Verdict:

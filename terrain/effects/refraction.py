@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.casters.reach import longest_shadow_m
-from terrain.effects.effect import CHANNEL_STEP, Effect, Verdict
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.scene import Scene
-from terrain.shading import exposure_of
+from skugga.terrain.casters.reach import longest_shadow_m
+from skugga.terrain.effects.effect import CHANNEL_STEP, Effect, Verdict
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import exposure_of
 
 SRGB_SLOPE = 3.5
 """Slope of sRGB at a linear value of 0.03: white ground on a slope that sees half of the sky, and its dark side."""

@@ -1,8 +1,8 @@
 """Sky view: ground that rises round a place hides a part of the sky, so that valleys get less of its light.
 
 **The part.** Of each point's share of the sky the share is taken away that ground hides below it
-(``terrain.ground.sky_view_factor``). On the ground itself that is the light lost; meshes and trees lose the same share as the
-ground that they stand on, however high they rise above it. Ground that is seen from afar takes means over what a pixel shows.
+(``skugga.terrain.ground.sky_view_factor``). On the ground itself that is the light lost; meshes and trees lose the same share as
+the ground that they stand on, however high they rise above it. Ground that is seen from afar takes means over what a pixel shows.
 
 **The predicate.** Sky light is ``albedo * sky * share``. To hide a part ``h`` of it takes ``albedo * sky * h`` at most off linear
 colour. In sRGB, which is near a root, that shows the more, the brighter what the sky alone lights is (the root of ``L`` falls by
@@ -14,21 +14,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
-from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.ground.sky_view_factor import SkyView, hidden_on, pyramid_level, sky_view, sky_view_nodes
-from terrain.ground.surface import map_pixel_m
-from terrain.ground.visible_cells import block_slices, visible_cells
-from terrain.scene import Scene
-from terrain.shading import daylight_of, in_shade, look_of, most_sky, night_of, srgb_encoded
-from terrain.shading_loops import dusk_of
-from terrain.style import tint_table
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.sky_view_factor import SkyView, hidden_on, pyramid_level, sky_view, sky_view_nodes
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.ground.visible_cells import block_slices, visible_cells
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import daylight_of, in_shade, look_of, most_sky, night_of, srgb_encoded
+from skugga.terrain.shading_loops import dusk_of
+from skugga.terrain.style import tint_table
 
 COMPARED_SHADES = 4096
 """Shades that are compared, from black to the brightest: as many as the table of sRGB has in all."""

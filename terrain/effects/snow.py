@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
-from terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact
-from terrain.gbuffer.resolve import FOREST, RELIEF
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.ground.noise import fractal_at
-from terrain.interpolation_loops import smoothstep_of
-from terrain.scene import Scene
-from terrain.shading import SHORE_M
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict, pixel_size
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact
+from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.noise import fractal_at
+from skugga.terrain.interpolation_loops import smoothstep_of
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import SHORE_M
 
 SNOW, ROCK = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
 """Linear albedos of snow that has settled, and of the rock and scree that steep ground shows."""

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.casters.reach import longest_shadow_m
-from terrain.effects.effect import Effect, Verdict
-from terrain.facts.descriptor import Descriptor
-from terrain.geo.sun import SUN_RADIUS_DEG
+from skugga.terrain.casters.reach import longest_shadow_m
+from skugga.terrain.effects.effect import Effect, Verdict
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 
 DISC = float(2.0 * np.radians(SUN_RADIUS_DEG))
 """The sun's diameter, radians: the penumbra's width as a share of the distance from caster to receiver, across the light."""

@@ -22,23 +22,23 @@ from math import erf
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, internal
-from terrain.effects.effect import Effect, ShadingBlock, Verdict
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact, number
-from terrain.gbuffer.antialias import finer_view
-from terrain.gbuffer.picture import RasterisedView
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.ground.elevation import Elevation
-from terrain.ground.visible_cells import CellRange, block_slices, visible_cells
-from terrain.level.level import SUN
-from terrain.scene import Scene
-from terrain.shading import SHORE_M, daylight_of, exposure_of, in_shade, look_of, night_of, srgb_encoded, water_in
-from terrain.shading_loops import dusk_of, shoulder
-from terrain.sky import sky_color, sky_of
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact, number
+from skugga.terrain.gbuffer.antialias import finer_view
+from skugga.terrain.gbuffer.picture import RasterisedView
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.visible_cells import CellRange, block_slices, visible_cells
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import SHORE_M, daylight_of, exposure_of, in_shade, look_of, night_of, srgb_encoded, water_in
+from skugga.terrain.shading_loops import dusk_of, shoulder
+from skugga.terrain.sky import sky_color, sky_of
 
 WIND_M_S = 3.0
 """A light breeze."""

@@ -1,4 +1,1 @@
-"""The facts that choices are made from: the type ``Descriptor``, and what measures its parts on a scene and a view.
-
-May import: casters, gbuffer, geo, ground, level, lights, meshes, scene, scene_objects, trees.
-"""
+"""The facts that choices are made from: the type ``Descriptor``, and what measures its parts on a scene and a view."""

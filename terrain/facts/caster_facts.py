@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.casters.casting import closed_casters
-from terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
-from terrain.facts.fact_types import CasterFacts
-from terrain.gbuffer.ground_mesh import ground_mesh, ground_nodes
-from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, MapView, step_at_anchor_m
-from terrain.geo.world import World
-from terrain.ground.elevation import Elevation
-from terrain.ground.surface import map_pixel_m
-from terrain.scene import Scene
-from terrain.scene_objects import SceneObjects
-from terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.casting import closed_casters
+from skugga.terrain.casters.reach import FULL_DETAIL_NODES, PATCH_QUADS, longest_shadow_m
+from skugga.terrain.facts.fact_types import CasterFacts
+from skugga.terrain.gbuffer.ground_mesh import ground_mesh, ground_nodes
+from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, step_at_anchor_m
+from skugga.terrain.geo.world import World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.scene import Scene
+from skugga.terrain.scene_objects import SceneObjects
+from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
 TREE_TRIANGLES = 6
 """Triangles of a tree: three quads."""
@@ -52,8 +52,9 @@ def _relief(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:
 
 
 def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) -> int:
-    """Triangles of patches of ground between a block of nodes and the sun, as ``terrain.casters.reach`` lays them: as wide as the
-    block and a patch's margin, as long as the level's relief throws shadows, coarser by half at each doubling of the distance.
+    """Triangles of patches of ground between a block of nodes and the sun, as ``skugga.terrain.casters.reach`` lays them: as wide
+    as the block and a patch's margin, as long as the level's relief throws shadows, coarser by half at each doubling of the
+    distance.
     """
     if not scene.sun_is_up or scene.light is None or np.ptp(scene.height_range_m) <= 0.0:
         return 0

@@ -15,16 +15,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, internal
-from terrain.gbuffer.antialias import CROSS, edges_between, edges_in_neighbours, mesh_normals
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
-from terrain.gbuffer.id_buffer import NEAR_M, IdBuffer
-from terrain.gbuffer.picture import buffer_of, solids_in
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.world import LocalFrame
-from terrain.scene import Scene
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.gbuffer.antialias import CROSS, edges_between, edges_in_neighbours, mesh_normals
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_mesh
+from skugga.terrain.gbuffer.id_buffer import NEAR_M, IdBuffer
+from skugga.terrain.gbuffer.picture import buffer_of, solids_in
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.scene import Scene
 
 COARSE_STEP_PX = 8
 """Distance of the pixels from which a perspective view is described."""
@@ -35,9 +35,9 @@ class NeighbourSamples:
     """Some pixels of a perspective view, each with the four beside it: what decides whether something ends in it, but for trees.
 
     ``row`` and ``col`` (n,) are the pixels; ``number`` (n, 5) uint32 the triangles seen in each and beside it, in the order of
-    ``terrain.gbuffer.antialias``, counted from 1 through the ground's (``ground`` of them) and the meshes', 0 where there is none;
-    ``away_m`` (n, 5) float64 how far away along the axis of the view, infinite where there is none; ``normals`` (m, 3) float32
-    those of the meshes' faces.
+    ``skugga.terrain.gbuffer.antialias``, counted from 1 through the ground's (``ground`` of them) and the meshes', 0 where there is
+    none; ``away_m`` (n, 5) float64 how far away along the axis of the view, infinite where there is none; ``normals`` (m, 3)
+    float32 those of the meshes' faces.
     """
 
     view: PerspectiveView
@@ -70,7 +70,7 @@ class CoarseView:
 
 @dataclass(frozen=True, eq=False)
 class _Coarse:
-    """What ``terrain.gbuffer.picture`` resolves to points: as its ``RasterisedView``, without trees."""
+    """What ``skugga.terrain.gbuffer.picture`` resolves to points: as its ``RasterisedView``, without trees."""
 
     frame: LocalFrame
     ground: GroundMesh

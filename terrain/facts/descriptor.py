@@ -1,4 +1,4 @@
-"""The ``Descriptor``: what is known of a scene and a view, as one value. A pure type; ``terrain.describe`` makes it."""
+"""The ``Descriptor``: what is known of a scene and a view, as one value. A pure type; ``skugga.terrain.describe`` makes it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from terrain.facts.fact_types import (
+from skugga.terrain.facts.fact_types import (
     AtLeastZero,
     Band,
     CasterFacts,
@@ -21,9 +21,9 @@ from terrain.facts.fact_types import (
     Slope,
     shares_add_up,
 )
-from terrain.geo.grid import BLOCK_PX
-from terrain.level.level import SUN, CasterKind
-from terrain.level.parts import Weather
+from skugga.terrain.geo.grid import BLOCK_PX
+from skugga.terrain.level.level import SUN, CasterKind
+from skugga.terrain.level.parts import Weather
 
 LightKind = Literal["sun", "spot", "omni"]
 
@@ -44,15 +44,15 @@ class Descriptor(Facts):
     ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen; ``pixel`` is its tangent);
     ``rows`` x ``cols`` of them, ``pixels`` in all, are drawn at a time: a map's block or a whole perspective view, of which
     ``seen_share`` shows a surface and not the sky, and in ``edge_share`` something ends, so that they get further samples
-    (``terrain.gbuffer.antialias``; 0 in a map). A coarse map's pixels are cut into ``pieces`` a side, whose mean visibility they
-    show (``terrain.gbuffer.covered_nodes``): ``pixel_m``, ``node_m`` and the rest are those of the pieces, ``pixels`` a block's
-    pieces that are ground. ``casters`` are the kinds there are, ``stands`` what there is of each, ``lights``
+    (``skugga.terrain.gbuffer.antialias``; 0 in a map). A coarse map's pixels are cut into ``pieces`` a side, whose mean visibility
+    they show (``skugga.terrain.gbuffer.covered_nodes``): ``pixel_m``, ``node_m`` and the rest are those of the pieces, ``pixels`` a
+    block's pieces that are ground. ``casters`` are the kinds there are, ``stands`` what there is of each, ``lights``
     what each light does. ``relief_m`` is the range of the ground's heights, the slopes are those of the raster's overview,
     ``moves`` whether anything does by the clock: casters, lamps or clouds. ``receivers_light_m`` is the largest extent of a block's
     receivers in light space: right, up and along the light, metres; ``None`` without a sun. ``bands`` are what a perspective view
     shows under the sun, by distance. ``highest_sun_deg`` is the sun's largest altitude anywhere over the level. ``bend_px`` is how
-    far a map lies off what a camera could see of it (``terrain.casters.clip_space``). ``tallest_m`` is how far anything rises above
-    its ground.
+    far a map lies off what a camera could see of it (``skugga.terrain.casters.clip_space``). ``tallest_m`` is how far anything
+    rises above its ground.
     ``facts`` are what effects go by besides, by effect; JSON has no infinity: there it is written as text.
     """
 

@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from terrain.errors import InputError
-from terrain.level.level import CasterKind
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.level import CasterKind
 
 TEXEL_LADDER_PX = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Sides of texels, in pixels, for which it is told what a nearest look-up gets wrong."""

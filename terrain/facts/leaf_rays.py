@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled
-from terrain.facts.probes import ProbeRays
-from terrain.gbuffer.tree_instances import TreeInstances
-from terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled
+from skugga.terrain.facts.probes import ProbeRays
+from skugga.terrain.gbuffer.tree_instances import TreeInstances
+from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
 TREES_A_CELL = 3
 """Trees in a cell of the grid, in the mean over its extent."""

@@ -1,8 +1,8 @@
 """Scene and view -> what each light does there: what it shines on, what stands in its way, and where its shadows end.
 
 All of it by looking: from the points of a coarse look (a map: of what is seen from above all over the level) rays go to the light
-and to beside it (``terrain.facts.probes``). No kind of casters knows of the others here; what one of them shades counts as its
-shadow whatever else does.
+and to beside it (``skugga.terrain.facts.probes``). No kind of casters knows of the others here; what one of them shades counts as
+its shadow whatever else does.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.facts.fact_types import CastBand, Casting, LightFacts
-from terrain.facts.leaf_rays import blocked_by_leaves, first_leaf_hits
-from terrain.facts.mesh_rays import blocked_by_meshes, first_mesh_hits
-from terrain.facts.probes import PROBES, PROBES_AMONG_TREES, ProbeRays, Probes, rays_to, stratified_indices
-from terrain.facts.relief_rays import blocked_by_relief, overview_probes
-from terrain.facts.silhouette_facts import EYE_RAYS, layers_before, length_px, silhouette_of
-from terrain.gbuffer.resolve import FOREST, RELIEF
-from terrain.gbuffer.tree_instances import TreeInstances
-from terrain.geo.camera import PerspectiveView
-from terrain.level.level import SUN, CasterKind
-from terrain.lights import Lamp
-from terrain.scene import Scene
+from skugga.terrain.facts.fact_types import CastBand, Casting, LightFacts
+from skugga.terrain.facts.leaf_rays import blocked_by_leaves, first_leaf_hits
+from skugga.terrain.facts.mesh_rays import blocked_by_meshes, first_mesh_hits
+from skugga.terrain.facts.probes import PROBES, PROBES_AMONG_TREES, ProbeRays, Probes, rays_to, stratified_indices
+from skugga.terrain.facts.relief_rays import blocked_by_relief, overview_probes
+from skugga.terrain.facts.silhouette_facts import EYE_RAYS, layers_before, length_px, silhouette_of
+from skugga.terrain.gbuffer.resolve import FOREST, RELIEF
+from skugga.terrain.gbuffer.tree_instances import TreeInstances
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.level.level import SUN, CasterKind
+from skugga.terrain.lights import Lamp
+from skugga.terrain.scene import Scene
 
 MIN_DISTANCE_M = 1.0
 """What is nearer to the eye than this counts as this far away."""

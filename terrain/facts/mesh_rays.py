@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled
-from terrain.facts.probes import ProbeRays, Probes
-from terrain.geo.world import LocalFrame
-from terrain.scene_objects import SceneObjects
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled
+from skugga.terrain.facts.probes import ProbeRays, Probes
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.scene_objects import SceneObjects
 
 MAX_LEAF_TRIANGLES = 4
 """Triangles in a leaf of the tree, at most."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from terrain.facts.fact_types import TEXEL_LADDER_PX
-from terrain.geo.world import LocalFrame
+from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
+from skugga.terrain.geo.world import LocalFrame
 
 PROBES = 1000
 """Probes from which rays go to a light, at most."""
@@ -36,7 +36,7 @@ class Probes:
     """Points that are seen, each standing for as much of the view as any other.
 
     ``point_frame_m`` and ``normal_frame`` (n, 3) float64, ``pixel_m`` and ``away_m`` (n,) a pixel's side there and the distance
-    from the eye (0 in a map), ``kind`` (n,) what is seen as in ``terrain.gbuffer.resolve``, ``number`` (n,) whole numbers by
+    from the eye (0 in a map), ``kind`` (n,) what is seen as in ``skugga.terrain.gbuffer.resolve``, ``number`` (n,) whole numbers by
     which chance is told apart.
     """
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled
-from terrain.facts.probes import ProbeRays, Probes
-from terrain.geo.world import LocalFrame, World
-from terrain.ground.elevation import Elevation
-from terrain.interpolation_loops import blend_corners, cell_before
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled
+from skugga.terrain.facts.probes import ProbeRays, Probes
+from skugga.terrain.geo.world import LocalFrame, World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.interpolation_loops import blend_corners, cell_before
 
 SKIP_BLOCK_CELLS = 16
 """Side of the blocks of cells that are passed over at once."""

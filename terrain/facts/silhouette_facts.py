@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled
-from terrain.scene_objects import SceneObjects
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled
+from skugga.terrain.scene_objects import SceneObjects
 
 if TYPE_CHECKING:
-    from terrain.meshes.assemble import Placement
+    from skugga.terrain.meshes.assemble import Placement
 
 MOST_SIDES = 4096
 """Sides that are held against the eye's rays; of more, so many spread over all of them, each of which counts for others too."""

@@ -9,20 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.facts.coarse_view import CoarseView
-from terrain.facts.leaf_rays import first_leaf_hits
-from terrain.facts.mesh_rays import first_mesh_hits
-from terrain.facts.probes import Probes, quasirandom, stratified_indices
-from terrain.gbuffer.antialias import CROSS, edges_in_neighbours
-from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
-from terrain.gbuffer.tree_instances import TreeInstances
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.world import World
-from terrain.ground.elevation import Elevation
-from terrain.interpolation import bilinear
-from terrain.scene import Scene
-from terrain.scene_objects import SceneObjects
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.facts.coarse_view import CoarseView
+from skugga.terrain.facts.leaf_rays import first_leaf_hits
+from skugga.terrain.facts.mesh_rays import first_mesh_hits
+from skugga.terrain.facts.probes import Probes, quasirandom, stratified_indices
+from skugga.terrain.gbuffer.antialias import CROSS, edges_in_neighbours
+from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from skugga.terrain.gbuffer.tree_instances import TreeInstances
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.world import World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.interpolation import bilinear
+from skugga.terrain.scene import Scene
+from skugga.terrain.scene_objects import SceneObjects
 
 MAP_SIDE = 48
 """Probes of a map lie one in each of so many by so many parts of a level."""
@@ -80,7 +80,7 @@ def _among_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstances) -
 
 
 def edge_share(coarse_view: CoarseView, trees: TreeInstances | None) -> float:
-    """Share of a view's pixels in which something ends (``terrain.gbuffer.antialias``)."""
+    """Share of a view's pixels in which something ends (``skugga.terrain.gbuffer.antialias``)."""
     return coarse_view.edge_share if trees is None else _edge_share_among_leaves(coarse_view, trees)
 
 

@@ -1,4 +1,1 @@
-"""The geometry buffer: which triangle each pixel shows, at which point, with which normal; samples where something ends.
-
-May import: geo, gl, ground, level, lights, meshes, scene, scene_objects, trees.
-"""
+"""The geometry buffer: which triangle each pixel shows, at which point, with which normal; samples where something ends."""

@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares, internal
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.id_buffer import NEAR_M
-from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of, imagery_of
-from terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.meshes.facets import face_normals
-from terrain.scene import Scene
-from terrain.scene_objects import SceneObjects
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.id_buffer import NEAR_M
+from skugga.terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of, imagery_of
+from skugga.terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.meshes.facets import face_normals
+from skugga.terrain.scene import Scene
+from skugga.terrain.scene_objects import SceneObjects
 
 SIDE = 2
 """The samples of a pixel where something ends lie on a grid of so many a side; its own point counts as one more."""
@@ -101,7 +101,7 @@ def samples_per_pixel(edge_share: float) -> float:
 
 def picture_buffer(scene: Scene, view: MapView | PerspectiveView) -> MultisampledBuffer:
     """The buffer that a view (a block, if it is a map) is drawn from. Where edges run in a map only its shadows tell: samples come
-    later (``shadows.map_edges``).
+    later (``skugga.shadows.map_edges``).
     """
     return MultisampledBuffer(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else multisampled(scene, view)
 

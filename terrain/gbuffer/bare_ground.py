@@ -1,7 +1,8 @@
 """What a map's pixels show of bare ground, whatever the sun: kept, so that another sun shades it anew and reads nothing.
 
 A geometry buffer knows each pixel's triangle, which takes ten times as long. Ground that is shaded needs its height, its smooth
-normal and its share of the sky. The numbers are those of a geometry buffer (``terrain.gbuffer.geometry``), for pixels on nodes.
+normal and its share of the sky. The numbers are those of a geometry buffer (``skugga.terrain.gbuffer.geometry``), for pixels on
+nodes.
 """
 
 from __future__ import annotations
@@ -11,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, internal
-from terrain.gbuffer.geometry import counts, normal_reach
-from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame, World
-from terrain.ground.elevation import Elevation
-from terrain.ground.sky_view_factor import (
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.gbuffer.geometry import counts, normal_reach
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame, World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.sky_view_factor import (
     STEREOGRAPHIC,
     SkyView,
     cell_in_square,
@@ -27,8 +28,8 @@ from terrain.ground.sky_view_factor import (
     pyramid_level,
     square_of_lattice,
 )
-from terrain.ground.surface import Surface, at_height, between_columns, between_rows, map_pixel_m
-from terrain.scene import Scene
+from skugga.terrain.ground.surface import Surface, at_height, between_columns, between_rows, map_pixel_m
+from skugga.terrain.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame, World
-from terrain.ground.elevation import Elevation
-from terrain.ground.surface import NodeHeights, RefinedWindow, Surface
-from terrain.scene import Scene
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame, World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.surface import NodeHeights, RefinedWindow, Surface
+from skugga.terrain.scene import Scene
 
 HALO = 2
 """Rows and columns of nodes round a view whose heights are read with it."""

@@ -15,12 +15,12 @@ from typing import Literal
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import BLOCK_PX, Grid, MapView
-from terrain.ground.surface import map_pixel_m
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 
 PixelsShow = Literal["means", "points"]
 """What a map's pixels show: means of what they cover, or their own points, by which accuracy is measured."""

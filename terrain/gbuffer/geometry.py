@@ -1,6 +1,6 @@
 """Geometry buffers: for each pixel the visible point, its normals and the triangle it lies on.
 
-The buffer of a map block is made by arithmetic, without rasterising (``terrain.gbuffer.map_points``).
+The buffer of a map block is made by arithmetic, without rasterising (``skugga.terrain.gbuffer.map_points``).
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
-from terrain.gbuffer.ground_mesh import GroundMesh
-from terrain.gbuffer.map_points import map_lifts, map_points
-from terrain.gbuffer.resolve import NO_SURFACE, RELIEF
-from terrain.gbuffer.tree_instances import TreeInstances
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame
-from terrain.ground.columns import PlacedOnColumns
-from terrain.ground.surface import Surface, SurfaceWindow
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.gbuffer.ground_mesh import GroundMesh
+from skugga.terrain.gbuffer.map_points import map_lifts, map_points
+from skugga.terrain.gbuffer.resolve import NO_SURFACE, RELIEF
+from skugga.terrain.gbuffer.tree_instances import TreeInstances
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.ground.columns import PlacedOnColumns
+from skugga.terrain.ground.surface import Surface, SurfaceWindow
 
 SMOOTH_NODES = 16
 """Widest central difference of the shading normal, in nodes: beyond 16-fold magnification facets show."""
@@ -50,14 +50,14 @@ class GeometryBuffer:
         float32, its height.
     normal_frame
         float32, the triangle's geometric unit normal; the mean of all where several triangles of a map's ground share the point.
-        Shadows go by ``terrain.gbuffer.shared_points``, which knows those.
+        Shadows go by ``skugga.terrain.gbuffer.shared_points``, which knows those.
     shading_normal_frame
         float32, a smooth unit normal: shading goes by this one.
     crease
         float32, the largest distance between the triangle's unit normal and those of the triangles round the nearest
         node: 0 on a plane. An algorithm that looks beside the point needs it for its bias.
     kind
-        uint8, what is seen: ``terrain.gbuffer.resolve``'s NOTHING, RELIEF, MESHES or FOREST.
+        uint8, what is seen: ``skugga.terrain.gbuffer.resolve``'s NOTHING, RELIEF, MESHES or FOREST.
     triangle
         int32 (rows, cols, 3) of a map's ground: row and column of the quad in ``surface``, and 0 for the triangle on its north
         side, 1 for the other; the first of those that share the point.
@@ -74,11 +74,11 @@ class GeometryBuffer:
     albedo
         float32, linear; NaN where the ground's tint is to be taken. ``None``: everywhere.
     samples_from, sample_pixels
-        Rows from here on are further samples of pixels (``terrain.gbuffer.antialias``), which are averaged; rows and columns (n,
-        cols) of the pixels that they are in the finer view of the same camera.
+        Rows from here on are further samples of pixels (``skugga.terrain.gbuffer.antialias``), which are averaged; rows and columns
+        (n, cols) of the pixels that they are in the finer view of the same camera.
     lift_m
         float32 (rows, cols), how far the smooth ground lies from the triangle's point along the line of sight, in a map upwards
-        (``terrain.gbuffer.lift``); NaN on nodes of the raster, and beside creases. ``None`` where all points are such.
+        (``skugga.terrain.gbuffer.lift``); NaN on nodes of the raster, and beside creases. ``None`` where all points are such.
     lifted
         bool (rows, cols), where the point has been put there, for one light. ``None``: nowhere.
     stand, solids_frame_m

@@ -12,17 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
-from terrain.geo.camera import FRAME_SHARE, PerspectiveView
-from terrain.geo.grid import Grid, map_grid, step_at_anchor_m
-from terrain.geo.world import LocalFrame, World, transformer
-from terrain.ground.decimation import NodeErrors, decimate, errors_m
-from terrain.ground.elevation import Elevation
-from terrain.ground.sheet import sheet_of
-from terrain.ground.surface import Surface
-from terrain.meshes.facets import FacesRound, creases, face_normals, faces_round, smooth_normals
-from terrain.scene import Scene
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.geo.camera import FRAME_SHARE, PerspectiveView
+from skugga.terrain.geo.grid import Grid, map_grid, step_at_anchor_m
+from skugga.terrain.geo.world import LocalFrame, World, transformer
+from skugga.terrain.ground.decimation import NodeErrors, decimate, errors_m
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.sheet import sheet_of
+from skugga.terrain.ground.surface import Surface
+from skugga.terrain.meshes.facets import FacesRound, creases, face_normals, faces_round, smooth_normals
+from skugga.terrain.scene import Scene
 
 MAX_GROUND_TRIANGLES = 2_000_000
 """Most triangles of a perspective view's ground."""
@@ -52,7 +52,7 @@ class GroundMesh:
     triangles
         int32 (m, 3), counter-clockwise from above.
     face_normal_frame, faces_round
-        float32 (m, 3), the triangles' unit normals, and the triangles round each node (``terrain.meshes.facets``).
+        float32 (m, 3), the triangles' unit normals, and the triangles round each node (``skugga.terrain.meshes.facets``).
     x, y
         float64 (n,), map coordinates in the grid's CRS.
     grid, tolerance_px

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares
-from terrain.gbuffer.ground_mesh import GroundMesh
-from terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame
-from terrain.gl.device import Device, device
-from terrain.gl.programs import join_shader_parts
-from terrain.trees.foliage import THRESHOLD, foliage
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.gbuffer.ground_mesh import GroundMesh
+from skugga.terrain.gbuffer.tree_instances import QUAD_TRIANGLES, TreeInstances
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.gl.device import Device, device
+from skugga.terrain.gl.programs import join_shader_parts
+from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
 if TYPE_CHECKING:
     import moderngl
@@ -45,12 +45,12 @@ class IdBuffer:
 @cached("process", 8 * MIB)
 def shader(*parts: str) -> str:
     """The text of shader parts, one after another: ``terrain/gbuffer/tree`` is ``tree.glsl`` in the shaders of
-    ``terrain.gbuffer``.
+    ``skugga.terrain.gbuffer``.
     """
     texts = {}
     for part in parts:
         folder, _, name = part.rpartition("/")
-        texts[part] = files(folder.replace("/", ".")).joinpath("shaders", f"{name}.glsl").read_text(encoding="utf-8")
+        texts[part] = files(f"skugga.{folder.replace('/', '.')}").joinpath("shaders", f"{name}.glsl").read_text(encoding="utf-8")
     return join_shader_parts(texts)
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import internal
+from skugga.terrain.compiled import internal
 
 LEAST_FACING = 0.25
 """Least cosine, between a smooth normal and the line of sight, that a lift is divided by: surfaces are seen edge-on, too."""

@@ -1,16 +1,18 @@
-"""The geometry buffer of a map of upright columns (``terrain.ground.columns``): a pixel shows the middle of its column's top."""
+"""The geometry buffer of a map of upright columns (``skugga.terrain.ground.columns``): a pixel shows the middle of its column's
+top.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import NO_SURFACE, RELIEF
-from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame
-from terrain.ground.columns import columns_under
-from terrain.ground.surface import Surface
+from skugga.terrain.compiled import compiled
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.resolve import NO_SURFACE, RELIEF
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.ground.columns import columns_under
+from skugga.terrain.ground.surface import Surface
 
 
 def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None) -> GeometryBuffer:

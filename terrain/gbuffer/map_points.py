@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
-from terrain.gbuffer.lift import is_smooth, lift_to, up_at
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.gbuffer.lift import is_smooth, lift_to, up_at
 
 ON_EDGE = 1e-6
 """How near to a facet's edge, in cells, a point lies on it: what rounding puts to one side or the other is shared by both."""

@@ -9,12 +9,12 @@ from typing import Protocol, get_args
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.gbuffer.geometry import GeometryBuffer, MapNodes, map_geometry, map_nodes
-from terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground_creases, ground_mesh
-from terrain.gbuffer.id_buffer import IdBuffer, rasterise_map, rasterise_perspective
-from terrain.gbuffer.map_columns import column_geometry
-from terrain.gbuffer.resolve import (
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.gbuffer.geometry import GeometryBuffer, MapNodes, map_geometry, map_nodes
+from skugga.terrain.gbuffer.ground_mesh import MAX_GROUND_TRIANGLES, GroundMesh, ground_creases, ground_mesh
+from skugga.terrain.gbuffer.id_buffer import IdBuffer, rasterise_map, rasterise_perspective
+from skugga.terrain.gbuffer.map_columns import column_geometry
+from skugga.terrain.gbuffer.resolve import (
     RELIEF,
     Faces,
     Ground,
@@ -27,16 +27,16 @@ from terrain.gbuffer.resolve import (
     resolve_map,
     resolve_perspective,
 )
-from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.geo.world import LocalFrame
-from terrain.ground.elevation import Elevation
-from terrain.ground.imagery import Imagery
-from terrain.ground.surface import map_pixel_m
-from terrain.level.level import CasterKind
-from terrain.scene import Scene
-from terrain.scene_objects import SceneObjects
+from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.imagery import Imagery
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.level.level import CasterKind
+from skugga.terrain.scene import Scene
+from skugga.terrain.scene_objects import SceneObjects
 
 CELL_STEP_PX = 16
 """Distance of the pixels whose place in a map's imagery is computed exactly."""

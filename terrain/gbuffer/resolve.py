@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled, in_shares, internal
-from terrain.gbuffer.lift import is_smooth, lift_to
-from terrain.gbuffer.tree_instances import tree_corner
+from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.gbuffer.lift import is_smooth, lift_to
+from skugga.terrain.gbuffer.tree_instances import tree_corner
 
 CROWN_MIDDLE, CROWN_HALF = 0.55, 0.47
 """Height of a crown's middle, and half the crown's height, as shares of a tree's."""
@@ -25,8 +25,8 @@ NO_SURFACE, RELIEF, MESHES, FOREST = 0, 1, 2, 3
 
 
 class ResolvedPoints(NamedTuple):
-    """What a geometry buffer holds, per pixel; see ``terrain.gbuffer.geometry``. ``cells`` are places in the ground's imagery,
-    empty without any. ``lift_m`` is 0 where no ground is seen.
+    """What a geometry buffer holds, per pixel; see ``skugga.terrain.gbuffer.geometry``. ``cells`` are places in the ground's
+    imagery, empty without any. ``lift_m`` is 0 where no ground is seen.
     """
 
     there: np.ndarray
@@ -93,7 +93,7 @@ class SolidsInMap(NamedTuple):
 
 
 class TreesInPerspective(NamedTuple):
-    """Trees (n,) in perspective, as a ``terrain.gbuffer.tree_instances.TreeInstances`` has them."""
+    """Trees (n,) in perspective, as a ``skugga.terrain.gbuffer.tree_instances.TreeInstances`` has them."""
 
     base_frame_m: np.ndarray
     base_height_m: np.ndarray

@@ -6,7 +6,8 @@ only if all of them are, for else it can be seen from there. So a light goes by 
 by the mean of all. Neither prefers a side.
 
 **Between the raster's nodes** a facet is a chord of smooth ground, and shading takes it for that. So does shadow: the ground is
-turned away from a light where its smooth normal is. From where the light is looked for then: ``terrain.gbuffer.smooth_ground``.
+turned away from a light where its smooth normal is. From where the light is looked for then:
+``skugga.terrain.gbuffer.smooth_ground``.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares, internal
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.lift import up_at
-from terrain.gbuffer.map_points import ON_EDGE, crease_at, facet_corners, facets_at
-from terrain.gbuffer.resolve import RELIEF
-from terrain.geo.grid import MapView
-from terrain.lights import LightPosition
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.lift import up_at
+from skugga.terrain.gbuffer.map_points import ON_EDGE, crease_at, facet_corners, facets_at
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.lights import LightPosition
 
 STEEPEST = 1.0 / 32.0
 """Least upward part of a facet's unit normal by which a ray's start is lifted: walls may be steeper, but start no ray higher."""

@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from terrain.compiled import compiled, in_shares
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.lift import up_at
-from terrain.gbuffer.shared_points import facing_normals
-from terrain.geo.grid import MapView
-from terrain.lights import LightPosition
+from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.lift import up_at
+from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.lights import LightPosition
 
 
 def on_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBuffer:
-    """A buffer with the points on the smooth ground that see a light from there alone (``terrain.gbuffer.lift``); they lie on no
-    triangle. The buffer itself where there are none, or where they have been put there already.
+    """A buffer with the points on the smooth ground that see a light from there alone (``skugga.terrain.gbuffer.lift``); they lie
+    on no triangle. The buffer itself where there are none, or where they have been put there already.
     """
     if buffer.lift_m is None or buffer.lifted is not None:
         return buffer

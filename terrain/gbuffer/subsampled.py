@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
 
 _OF_PIXELS = (
     "there", "position_frame_m", "height_m", "normal_frame", "shading_normal_frame", "crease", "kind", "triangle",

@@ -1,8 +1,8 @@
 """The trees as a view draws them: thinned out where they are too small to be told apart, their shade kept.
 
-Where trees fall below a few pixels, a share k of them is drawn, evenly spread over the stand (``terrain.trees.thinning``), and what
-remains is drawn larger by the root of 1/k in all directions: a stand of the same shape on a coarser scale. Light falls on and
-through the two alike, from whatever direction, so that the share of the stand and its ground that lies in shadow holds; the
+Where trees fall below a few pixels, a share k of them is drawn, evenly spread over the stand (``skugga.terrain.trees.thinning``),
+and what remains is drawn larger by the root of 1/k in all directions: a stand of the same shape on a coarser scale. Light falls on
+and through the two alike, from whatever direction, so that the share of the stand and its ground that lies in shadow holds; the
 grain and the length of single trees' shadows do not. The same trees are seen, cast and are met by rays.
 
 In perspective k follows the distance from the eye (not the direction of view); in a map it is one for all of a zoom.
@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares, internal
-from terrain.geo.world import LocalFrame
-from terrain.scene_objects import SceneObjects
-from terrain.trees.foliage import TREE_VARIANTS, leaf_outlines
-from terrain.trees.trees import Trees
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.scene_objects import SceneObjects
+from skugga.terrain.trees.foliage import TREE_VARIANTS, leaf_outlines
+from skugga.terrain.trees.trees import Trees
 
 ALL_TREES_PX = 6.8
 """Height in pixels from which all trees of a perspective view are drawn."""

@@ -14,8 +14,8 @@ import numpy as np
 from affine import Affine
 from pyproj import CRS
 
-from terrain.cache import MIB, IdentityKey, cached
-from terrain.errors import InputError
+from skugga.terrain.cache import MIB, IdentityKey, cached
+from skugga.terrain.errors import InputError
 
 _COMPASS = {"east": (True, 1.0), "west": (True, -1.0), "north": (False, 1.0), "south": (False, -1.0)}
 """By direction: whether an axis runs along parallels, and its sign."""

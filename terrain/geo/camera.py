@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from terrain.errors import InputError
-from terrain.geo.world import LocalFrame, World
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.world import LocalFrame, World
 
 FRAME_SHARE = 1 / 16
 """Pitch of the frames of perspective views as a share of the maps': what is near the eye keeps float32 steps under 0.1 mm."""

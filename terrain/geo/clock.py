@@ -8,7 +8,7 @@ from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
 from typing import Literal
 from zoneinfo import ZoneInfo, available_timezones
 
-from terrain.errors import Fault, InputError
+from skugga.terrain.errors import Fault, InputError
 
 Clock = tzinfo | Literal["solar"]
 """A zone, or true solar time, at whose noon the sun stands in the meridian."""

@@ -8,10 +8,10 @@ from datetime import UTC, date, datetime, time, timedelta, tzinfo
 
 import numpy as np
 
-from terrain.errors import InputError
-from terrain.geo.clock import Clock, day_ends
-from terrain.geo.sun_path import check_date, sun_path
-from terrain.geo.world import World
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.clock import Clock, day_ends
+from skugga.terrain.geo.sun_path import check_date, sun_path
+from skugga.terrain.geo.world import World
 
 DAY_MIN = 1440.0
 

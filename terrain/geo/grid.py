@@ -2,7 +2,7 @@
 
 A map view is no camera. Its surface is one world-fixed grid of samples (nodes) per level, CRS and zoom, so that the
 same ground is the same triangles in every view. Node (row, col) lies at ``x = x0 + col * step``,
-``y = y0 - row * step``; rows grow southwards. ``terrain.ground.sheet`` says how the quads between them are cut.
+``y = y0 - row * step``; rows grow southwards. ``skugga.terrain.ground.sheet`` says how the quads between them are cut.
 
 For tiles the nodes are the centres of the tile matrix's pixels. Other map views take the power-of-two resolution at or
 below the asked one: counted from one tile's resolution in the two CRSs whose tile matrices are ladders of powers of
@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from pyproj import CRS
 
-from terrain.cache import MIB, cached
-from terrain.errors import InputError
-from terrain.geo.world import LONGITUDE_LATITUDE, World, epsg_of, transformer
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, epsg_of, transformer
 
 if TYPE_CHECKING:
     from morecantile import TileMatrixSet

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.compiled import compiled, in_shares
-from terrain.geo.sun import Sun, direction_enu
-from terrain.geo.world import LocalFrame, World
+from skugga.terrain.compiled import compiled, in_shares
+from skugga.terrain.geo.sun import Sun, direction_enu
+from skugga.terrain.geo.world import LocalFrame, World
 
 
 @dataclass(frozen=True, eq=False)

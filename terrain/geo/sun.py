@@ -11,10 +11,10 @@ from datetime import datetime
 
 import numpy as np
 
-from terrain.errors import InputError
-from terrain.geo.sun_path import sun_path
-from terrain.geo.world import LocalFrame, World
-from terrain.level.parts import SunSpec
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.sun_path import sun_path
+from skugga.terrain.geo.world import LocalFrame, World
+from skugga.terrain.level.parts import SunSpec
 
 SUN_RADIUS_DEG = 0.265
 """Half the sun's apparent diameter: 0.262 in July, 0.271 in January."""

@@ -8,7 +8,7 @@ from datetime import date, datetime, timedelta
 
 import numpy as np
 
-from terrain.errors import InputError
+from skugga.terrain.errors import InputError
 
 YEARS = (1678, 2261)
 """Years for which the sun's position is computed (the range of the library's time stamps)."""

@@ -13,11 +13,11 @@ import shapely
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from terrain.errors import SourceError
-from terrain.geo.axes import axes_of
-from terrain.geo.world import AxesTransformer, transformer
-from terrain.level.data_files import check_geodata
-from terrain.level.linked_files import is_remote
+from skugga.terrain.errors import SourceError
+from skugga.terrain.geo.axes import axes_of
+from skugga.terrain.geo.world import AxesTransformer, transformer
+from skugga.terrain.level.data_files import check_geodata
+from skugga.terrain.level.linked_files import is_remote
 
 LONGEST_EDGE = {True: 0.01, False: 1000.0}
 """Edges longer than this are divided before they are projected, since straight lines do not stay straight: degrees in

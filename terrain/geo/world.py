@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from pyproj import CRS, Geod, Transformer
 
-from terrain.cache import MIB, IdentityKey, cached
-from terrain.errors import UnsupportedError
-from terrain.geo.axes import Axes, Bounds, axes_of
+from skugga.terrain.cache import MIB, IdentityKey, cached
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.geo.axes import Axes, Bounds, axes_of
 
 WGS84 = Geod(ellps="WGS84")
 LONGITUDE_LATITUDE = CRS.from_user_input("OGC:CRS84")
@@ -43,7 +43,7 @@ def _identity(*crss: CRS) -> tuple[IdentityKey, ...]:
 
 
 class AxesTransformer:
-    """A transformation between CRSs, one of axes of its own (``terrain.geo.axes``): x to the east before y to the north."""
+    """A transformation between CRSs, one of axes of its own (``skugga.terrain.geo.axes``): x to the east before y to the north."""
 
     def __init__(self, stored: Transformer, source: Axes, target: Axes) -> None:
         self._stored, self._source, self._target = stored, source, target

@@ -1,4 +1,1 @@
-"""OpenGL: the only folder with raw calls. The device and its state, stencil passes, depth targets, programs on record.
-
-May import: no other room.
-"""
+"""OpenGL: the only folder with raw calls. The device and its state, stencil passes, depth targets, programs on record."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from moderngl import Framebuffer
 
-from terrain.cache import register_cache
+from skugga.terrain.cache import register_cache
 
 MAX_TARGETS, MAX_TARGET_BYTES = 16, 2**28
 """So many are held, of so many bytes together: the two used last at any size, those used before them while there is room."""
@@ -25,7 +25,7 @@ class DepthTargets:
 
     def __init__(self, make: Callable[[int, int, int], Framebuffer], release: Callable[[Framebuffer], None]) -> None:
         self._make, self._release = make, release
-        self.name, self.lifetime, self.limit_bytes = "terrain.gl.depth_targets", "light", MAX_TARGET_BYTES
+        self.name, self.lifetime, self.limit_bytes = "skugga.terrain.gl.depth_targets", "light", MAX_TARGET_BYTES
         self._held: list[_Target] = []  # the one used last at the end
         register_cache(self)
 

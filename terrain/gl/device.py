@@ -3,7 +3,7 @@
 A process has at most one context, made by the first call of ``device()`` and current for the process's life in the
 thread that made it: moderngl holds the GIL in every call, switches no contexts, and a read with the wrong context
 returns other memory. So every read goes through ``Device.read``, which makes sure of the context and reads into zeroed
-memory. What moderngl has no call for (16-bit and float depth storage, depth clamp) is here and in ``terrain.gl.stencil``.
+memory. What moderngl has no call for (16-bit and float depth storage, depth clamp) is here and in ``skugga.terrain.gl.stencil``.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 
 import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when imported)
 
-from terrain.cache import KIB, MIB, Cache, Missing  # noqa: E402
-from terrain.errors import GraphicsError, NoOpenGLError  # noqa: E402
-from terrain.gl.depth_targets import DepthTargets  # noqa: E402
-from terrain.gl.egl_devices import LIBEGL, NO_OPENGL, open_context  # noqa: E402
-from terrain.gl.programs import linked, note_draw, with_constants  # noqa: E402
-from terrain.gl.shader_cache import safe_shader_cache  # noqa: E402
-from terrain.gl.stencil import Stencil  # noqa: E402
+from skugga.terrain.cache import KIB, MIB, Cache, Missing  # noqa: E402
+from skugga.terrain.errors import GraphicsError, NoOpenGLError  # noqa: E402
+from skugga.terrain.gl.depth_targets import DepthTargets  # noqa: E402
+from skugga.terrain.gl.egl_devices import LIBEGL, NO_OPENGL, open_context  # noqa: E402
+from skugga.terrain.gl.programs import linked, note_draw, with_constants  # noqa: E402
+from skugga.terrain.gl.shader_cache import safe_shader_cache  # noqa: E402
+from skugga.terrain.gl.stencil import Stencil  # noqa: E402
 
 _DEPTH_CLAMP = 0x864F
 _FORMATS = {16: 0x81A5, 24: 0x81A6, 32: 0x8CAC}  # GL_DEPTH_COMPONENT16, 24, 32F
@@ -55,7 +55,7 @@ class Device:
         self.max_size = int(info["GL_MAX_TEXTURE_SIZE"])
         _ = self.ctx.error  # moderngl has asked for limits of which a driver may not know all
         self._programs: Cache[moderngl.Program] = Cache(
-            "terrain.gl.device.programs", "process", 64 * MIB, lambda program: PROGRAM_BYTES, moderngl.Program.release
+            "skugga.terrain.gl.device.programs", "process", 64 * MIB, lambda program: PROGRAM_BYTES, moderngl.Program.release
         )
         self.depth_targets = DepthTargets(
             self._made_depth_target, lambda target: self._release_target(target, target.depth_attachment)
@@ -65,7 +65,7 @@ class Device:
         self.stencil = Stencil(self.ctx, self.require_current, self.check, lambda: self._parking.use())
         self._lent: dict[np.dtype[Any], np.ndarray] = {}  # of each kind of texel
         self._layers: Cache[moderngl.TextureArray] = Cache(
-            "terrain.gl.device.layers", "process", 256 * MIB, _layers_bytes, moderngl.TextureArray.release
+            "skugga.terrain.gl.device.layers", "process", 256 * MIB, _layers_bytes, moderngl.TextureArray.release
         )
         self._parking = self.ctx.framebuffer([self.ctx.renderbuffer((1, 1))])
         self._quad = self.ctx.buffer(np.array([-1, -1, 3, -1, -1, 3], "f4"))
@@ -103,7 +103,7 @@ class Device:
 
     @property
     def programs(self) -> tuple[str, ...]:
-        """The labels of all programs that were compiled, in order (``terrain.gl.programs``)."""
+        """The labels of all programs that were compiled, in order (``skugga.terrain.gl.programs``)."""
         return tuple(program.extra.label for program in self._programs.values)
 
     def texture(self, array: np.ndarray) -> moderngl.Texture:
@@ -384,7 +384,7 @@ def device() -> Device:
     """The process's device; made by the first call, in the thread that will own it.
 
     Raises ``NoOpenGLError``: a process that found none once looks for none again, so that all its pictures are of one kind. Raises
-    ``InputError`` and ``GraphicsError`` for a device that cannot be had (``terrain.gl.egl_devices``).
+    ``InputError`` and ``GraphicsError`` for a device that cannot be had (``skugga.terrain.gl.egl_devices``).
     """
     global _device, _missing
     if _missing is not None:

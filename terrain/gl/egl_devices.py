@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from terrain.errors import Fault, GraphicsError, InputError, NoOpenGLError
+from skugga.terrain.errors import Fault, GraphicsError, InputError, NoOpenGLError
 
 if TYPE_CHECKING:
     import moderngl
@@ -219,7 +219,7 @@ def _unset(variable: str) -> Iterator[None]:
 
 def probed_device(index: int) -> ProbedDevice:
     """What a device draws with, asked in a process of its own, which takes a part of a second."""
-    code = f"from terrain.gl.egl_devices import answer_probe; answer_probe({index})"
+    code = f"from skugga.terrain.gl.egl_devices import answer_probe; answer_probe({index})"
     try:
         done = subprocess.run(
             [sys.executable, "-c", code], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PROBE_LIMIT_S

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from terrain.whole_files import disk_error
+from skugga.terrain.whole_files import disk_error
 
 DISABLE = "MESA_SHADER_CACHE_DISABLE"
 """Environment variable by which Mesa keeps no shaders on disk."""

@@ -1,7 +1,7 @@
 """The stencil of a device: a framebuffer of float depth and eight-bit stencil, and the passes that count in it.
 
-The raw calls that moderngl has none for; with ``terrain.gl.device`` the only module that makes any. Every pass puts back what it
-set: moderngl neither clears a stencil nor switches its test off.
+The raw calls that moderngl has none for; with ``skugga.terrain.gl.device`` the only module that makes any. Every pass puts back
+what it set: moderngl neither clears a stencil nor switches its test off.
 
 Depths of these passes go from 0, infinitely far away, to 1, and the nearer one is the greater.
 """
@@ -15,7 +15,7 @@ from typing import Literal
 import moderngl
 import numpy as np
 
-from terrain.cache import MIB, Cache, Missing
+from skugga.terrain.cache import MIB, Cache, Missing
 
 _CLIP_DISTANCE0, _DEPTH_CLAMP = 0x3000, 0x864F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
@@ -49,7 +49,7 @@ class Stencil:
     ) -> None:
         self._ctx, self._require_current, self._check, self._park = ctx, require_current, check, park
         self._targets: Cache[tuple[moderngl.Framebuffer, int]] = Cache(
-            "terrain.gl.stencil",
+            "skugga.terrain.gl.stencil",
             "process",
             STENCIL_CACHE_BYTES,
             lambda held: PIXEL_BYTES * held[0].width * held[0].height,

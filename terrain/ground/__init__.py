@@ -1,4 +1,1 @@
-"""The ground: heights read or made, its surface in a frame, its decimation, its imagery, its horizons.
-
-May import: geo, level.
-"""
+"""The ground: heights read or made, its surface in a frame, its decimation, its imagery, its horizons."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
+from skugga.terrain.compiled import compiled, internal
 
 ON_BORDER = 1e-6
 """How near to a border of cells, in cells, a place lies on it."""

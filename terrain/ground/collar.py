@@ -24,8 +24,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.ground.elevation import Elevation
-from terrain.level.level_source import remedy
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.level.level_source import remedy
 
 BORDER_SHARE, HIGH_BORDER_SHARE = 0.05, 0.25
 BEYOND_SHARE = 0.05

@@ -17,14 +17,14 @@ from functools import cached_property
 
 import numpy as np
 
-from terrain.compiled import compiled
-from terrain.errors import UnsupportedError
-from terrain.geo.grid import Grid
-from terrain.geo.world import LocalFrame, World
-from terrain.ground.cells import highest_cell
-from terrain.ground.elevation import Elevation
-from terrain.ground.sheet import Sheet, cuts_of, sheet_triangles
-from terrain.ground.surface import Surface, cubic_weights, interpolated
+from skugga.terrain.compiled import compiled
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.geo.grid import Grid
+from skugga.terrain.geo.world import LocalFrame, World
+from skugga.terrain.ground.cells import highest_cell
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.sheet import Sheet, cuts_of, sheet_triangles
+from skugga.terrain.ground.surface import Surface, cubic_weights, interpolated
 
 MAX_WINDOW_CELLS = 2**26
 """Most cells under a block: more lie under one only where a map bends the raster out of shape, as round a pole."""
@@ -188,7 +188,7 @@ def _window_round(columns: Columns, row: np.ndarray, col: np.ndarray, frame: Loc
 
 @compiled
 def _placed(exact, first_row, first_col, stride, row, col):
-    """As ``terrain.ground.surface.interpolated``, at (fractional) rows and columns."""
+    """As ``skugga.terrain.ground.surface.interpolated``, at (fractional) rows and columns."""
     kinds = exact.shape[2]
     out = np.empty((row.size, col.size, kinds))
     along = np.empty((exact.shape[1], kinds))

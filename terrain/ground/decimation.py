@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
-from terrain.errors import InputError
-from terrain.geo.world import EARTH_RADIUS_M
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.world import EARTH_RADIUS_M
 
 _PRESENT, _ABSENT, _BOTH = 1, 2, 3
 """What the smallest triangles within a triangle are, as bits; both: it crosses the outline of the data."""

@@ -1,7 +1,7 @@
 """Heights from any raster that GDAL reads, by windows and overviews only.
 
 The surface that a raster states is the bilinear one through its cells' centres, or its cells as they are, where a level asks for
-blocks (``terrain.ground.columns``). Cells are addressed as (row, col) with
+blocks (``skugga.terrain.ground.columns``). Cells are addressed as (row, col) with
 whole numbers at the centres. Zoomed out, cells are averaged 2 x 2, 4 x 4, ... from the raster's corner, so that a window
 reads the same wherever it begins; less than one such cell is lost at the south and east borders.
 
@@ -28,19 +28,19 @@ from rasterio.fill import fillnodata
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
-from terrain.cache import bytes_of
-from terrain.errors import SourceError
-from terrain.geo.axes import axes_of
-from terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, is_on_earth, transformer
-from terrain.ground.georeference import crs_of
-from terrain.ground.open_raster import dataset_of_heights, impossible_nodata
-from terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
-from terrain.ground.unmarked import UnmarkedCells
-from terrain.ground.vertical import vertical_axis
-from terrain.level.bundled import BUNDLED
-from terrain.level.gdal_guard import cap_caches
-from terrain.level.level_source import remedy
-from terrain.level.parts import GroundSurface, Positive, Units
+from skugga.terrain.cache import bytes_of
+from skugga.terrain.errors import SourceError
+from skugga.terrain.geo.axes import axes_of
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, is_on_earth, transformer
+from skugga.terrain.ground.georeference import crs_of
+from skugga.terrain.ground.open_raster import dataset_of_heights, impossible_nodata
+from skugga.terrain.ground.overview import Overview, check_overviews, lacks_overviews, read_overview
+from skugga.terrain.ground.unmarked import UnmarkedCells
+from skugga.terrain.ground.vertical import vertical_axis
+from skugga.terrain.level.bundled import BUNDLED
+from skugga.terrain.level.gdal_guard import cap_caches
+from skugga.terrain.level.level_source import remedy
+from skugga.terrain.level.parts import GroundSurface, Positive, Units
 
 FILL_CELLS = 64
 """How far from their rims holes are filled, in cells of the level read."""
@@ -179,7 +179,7 @@ class Elevation:
         self._dataset.close()
 
     def xy(self, row: np.ndarray | float, col: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates in the raster's CRS of (fractional) cells, x to the east and y to the north (``terrain.geo.axes``)."""
+        """Coordinates in the raster's CRS of (fractional) cells, x to the east and y to the north (``skugga.terrain.geo.axes``)."""
         gt, row, col = self._transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
         return gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
 
@@ -291,7 +291,7 @@ class Elevation:
 
     def _on_level(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rows and columns on a level for those of level 0, NaN beside it; and the least and the greatest of both (2, 2)."""
-        from terrain.ground.elevation_loops import on_level  # here: who asks for no height needs no compiler
+        from skugga.terrain.ground.elevation_loops import on_level  # here: who asks for no height needs no compiler
 
         rows, cols = self._level_shape(level)
         row, col = (axis.copy() if 0 in axis.strides else axis for axis in (row, col))  # what is broadcast numba does not take
@@ -311,8 +311,8 @@ class Elevation:
 
     def _heights_on_level(self, level: int, row: np.ndarray, col: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``heights_at`` for rows and columns on a level, of which the least and the greatest are known."""
-        from terrain.ground.cells import cell_heights
-        from terrain.ground.elevation_loops import bilinear
+        from skugga.terrain.ground.cells import cell_heights
+        from skugga.terrain.ground.elevation_loops import bilinear
 
         if not np.isfinite(ends).all():
             return np.full(row.shape, np.nan, np.float32), np.zeros(row.shape, bool)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
-from terrain.ground.extremes import widen
+from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.ground.extremes import widen
 
 
 @compiled

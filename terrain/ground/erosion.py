@@ -15,9 +15,9 @@ import heapq
 
 import numpy as np
 
-from terrain.compiled import compiled
-from terrain.ground.noise import fractal_at
-from terrain.interpolation_loops import cell_before, lerp_corners
+from skugga.terrain.compiled import compiled
+from skugga.terrain.ground.noise import fractal_at
+from skugga.terrain.interpolation_loops import cell_before, lerp_corners
 
 TIME_STEPS = (40, 20, 12, 8, 6)
 """Steps of time on the coarsest grid and on those that follow; the last figure for all finer ones."""

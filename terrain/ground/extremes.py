@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from terrain.compiled import internal
+from skugga.terrain.compiled import internal
 
 
 @internal

@@ -15,11 +15,11 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, internal, on_cores
-from terrain.ground.erosion import drained
-from terrain.ground.noise import fractal, noise_at, ridged_at
-from terrain.level.parts import FlatGround, GeneratedGround, Terrain
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, internal, on_cores
+from skugga.terrain.ground.erosion import drained
+from skugga.terrain.ground.noise import fractal, noise_at, ridged_at
+from skugga.terrain.level.parts import FlatGround, GeneratedGround, Terrain
 
 ENGINEERING = 'ENGCRS["made ground",EDATUM["made ground"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from terrain.errors import LevelError
-from terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
-from terrain.ground.elevation import Elevation
+from skugga.terrain.errors import LevelError
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, transformer
+from skugga.terrain.ground.elevation import Elevation
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 
-from terrain.errors import SourceError
-from terrain.geo.axes import axes_of
+from skugga.terrain.errors import SourceError
+from skugga.terrain.geo.axes import axes_of
 
 MOST_LATITUDE_DEG = 91.0
 """Files overshoot the poles by a cell."""

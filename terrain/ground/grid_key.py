@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from terrain.cache import MIB, cached
-from terrain.geo.grid import Grid
-from terrain.geo.world import World
-from terrain.ground.elevation import Elevation
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.geo.grid import Grid
+from skugga.terrain.geo.world import World
+from skugga.terrain.ground.elevation import Elevation
 
 
 class GridKey:

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.errors import Fault, LevelError
-from terrain.geo.keyed_curve import KeyedCurve
-from terrain.ground.geolocate import Geolocator
-from terrain.level.motion import Above
+from skugga.terrain.errors import Fault, LevelError
+from skugga.terrain.geo.keyed_curve import KeyedCurve
+from skugga.terrain.ground.geolocate import Geolocator
+from skugga.terrain.level.motion import Above
 
 LEAST_PLACES = 16
 """Places between two keys at which a path is looked at, at least."""
@@ -36,8 +36,8 @@ class Standpoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GroundPath:
-    """A smooth way through places with times (``terrain.geo.keyed_curve``). Height has a curve of its own, so that it never leaves
-    the heights of the keys before and after: what drives from key to key on the ground stays on it.
+    """A smooth way through places with times (``skugga.terrain.geo.keyed_curve``). Height has a curve of its own, so that it never
+    leaves the heights of the keys before and after: what drives from key to key on the ground stays on it.
 
     ``plan`` are earth-fixed points of height 0 at the keys, between which a curve runs in space; what counts of it is where it
     stands above the earth. ``heights`` are metres ``above`` the ground there, holes filled, or above the sea.

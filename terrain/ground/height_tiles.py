@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from terrain.cache import MIB, Cache, Missing
-from terrain.geo.grid import Grid
-from terrain.geo.world import World
-from terrain.ground.elevation import Elevation
-from terrain.ground.grid_key import grid_key
+from skugga.terrain.cache import MIB, Cache, Missing
+from skugga.terrain.geo.grid import Grid
+from skugga.terrain.geo.world import World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.grid_key import grid_key
 
 TILE_NODES = 512
 """Side of a tile, in nodes, half a block's; tiles lie on multiples of it, counted from the grid's origin."""
@@ -21,7 +21,7 @@ RIM_NODES = 8
 Heights = tuple[np.ndarray, np.ndarray]
 """Heights float32, NaN where there is no ground, and where there is a surface, bool."""
 
-_tiles: Cache[Heights | None] = Cache("terrain.ground.height_tiles", "scene", 192 * MIB)
+_tiles: Cache[Heights | None] = Cache("skugga.terrain.ground.height_tiles", "scene", 192 * MIB)
 
 
 def tiled_heights(

@@ -9,15 +9,15 @@ from pyproj.exceptions import CRSError, ProjError
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 
-from terrain.compiled import compiled
-from terrain.errors import SourceError
-from terrain.geo.axes import axes_of
-from terrain.geo.world import World, is_longitude_latitude, transformer
-from terrain.ground.georeference import check_cells, check_geotransform
-from terrain.ground.open_raster import dataset_with_masks
-from terrain.interpolation_loops import blend_corners, cell_before
-from terrain.level.rasters import open_raster
-from terrain.srgb import linear_of_srgb
+from skugga.terrain.compiled import compiled
+from skugga.terrain.errors import SourceError
+from skugga.terrain.geo.axes import axes_of
+from skugga.terrain.geo.world import World, is_longitude_latitude, transformer
+from skugga.terrain.ground.georeference import check_cells, check_geotransform
+from skugga.terrain.ground.open_raster import dataset_with_masks
+from skugga.terrain.interpolation_loops import blend_corners, cell_before
+from skugga.terrain.level.rasters import open_raster
+from skugga.terrain.srgb import linear_of_srgb
 
 MAX_SIDE = 4096
 """Longest side that imagery is read at: 48 MiB of colours; larger rasters are averaged down to it."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from terrain.ground.vertical import unit_of_word
-from terrain.level.parts import METRES_PER_UNIT
+from skugga.terrain.ground.vertical import unit_of_word
+from skugga.terrain.level.parts import METRES_PER_UNIT
 
 INCH_M = 0.0254
 

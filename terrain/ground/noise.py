@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled, internal
+from skugga.terrain.compiled import compiled, internal
 
 OCTAVE_GAIN = 0.5
 """Amplitude of an octave as a share of the octave before."""

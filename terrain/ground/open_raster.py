@@ -20,8 +20,8 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 from rasterio.shutil import copy
 
-from terrain.errors import SourceError
-from terrain.level.rasters import open_raster
+from skugga.terrain.errors import SourceError
+from skugga.terrain.level.rasters import open_raster
 
 EXACT_HIGH_CELLS = 32_000_000
 """Largest raster whose highest ground is read cell by cell, in strips, when it is opened, and which is decimated from its

@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from terrain.errors import SourceError, printable
-from terrain.ground.open_raster import EXACT_HIGH_CELLS
+from skugga.terrain.errors import SourceError, printable
+from skugga.terrain.ground.open_raster import EXACT_HIGH_CELLS
 
 OVERVIEW_CELLS = 512
 """Longest side of the overview that reach and relief are read from."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from terrain.ground.collar import collar_of
-from terrain.ground.elevation import Elevation
-from terrain.ground.overview import command_for
-from terrain.level.level_source import remedy
+from skugga.terrain.ground.collar import collar_of
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.overview import command_for
+from skugga.terrain.level.level_source import remedy
 
 FEET_WARNING = (
     "x and y are in feet; heights without a unit are taken as metres: if these are feet, too, write terrain: {units: ft} or us-ft "

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from terrain.compiled import compiled
+from skugga.terrain.compiled import compiled
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,11 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares, internal
-from terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, is_longitude_latitude, transformer
-from terrain.ground.elevation import Elevation
-from terrain.interpolation_loops import lerp_corners
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, WGS84, LocalFrame, World, is_longitude_latitude, transformer
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.interpolation_loops import lerp_corners
 
 LONGEST_NODES = 1024
 """Longest side of the grid on which a raster's horizons are found."""

@@ -13,13 +13,13 @@ from functools import cached_property
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled, in_shares, internal
-from terrain.geo.grid import Grid, MapView, step_at_anchor_m
-from terrain.geo.world import LocalFrame, World, is_longitude_latitude, transformer
-from terrain.ground.elevation import Elevation
-from terrain.ground.height_tiles import tiled_heights
-from terrain.ground.sheet import Sheet, sheet_of
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.geo.grid import Grid, MapView, step_at_anchor_m
+from skugga.terrain.geo.world import LocalFrame, World, is_longitude_latitude, transformer
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.height_tiles import tiled_heights
+from skugga.terrain.ground.sheet import Sheet, sheet_of
 
 EXACT_SPACING_M = 16000.0
 """Largest distance between exactly computed nodes: the cubic's error there is below 0.1 mm on the globe."""
@@ -247,7 +247,7 @@ def map_pixel_m(world: World, view: MapView) -> float:
 @compiled
 def _refined(height, row0, col0, rows, cols):
     """Heights (rows, cols) at nodes, their quads' middles and the middles of their sides, from (row0, col0) on, 0 or 1. Quads are
-    cut along their higher diagonals (``terrain.ground.sheet``).
+    cut along their higher diagonals (``skugga.terrain.ground.sheet``).
     """
     out = np.empty((rows, cols), np.float32)
     for i in range(rows):

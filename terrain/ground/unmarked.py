@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from terrain.ground.vertical import VerticalAxis
-from terrain.level.level_source import remedy
-from terrain.level.parts import METRES_PER_UNIT
+from skugga.terrain.ground.vertical import VerticalAxis
+from skugga.terrain.level.level_source import remedy
+from skugga.terrain.level.parts import METRES_PER_UNIT
 
 SENTINELS = (
     -9999.0, -99999.0, -999.0, -32768.0, -32767.0, 9999.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0,

@@ -15,9 +15,9 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 
-from terrain.errors import SourceError
-from terrain.level.level_source import remedy
-from terrain.level.parts import METRES_PER_UNIT, Positive, Units
+from skugga.terrain.errors import SourceError
+from skugga.terrain.level.level_source import remedy
+from skugga.terrain.level.parts import METRES_PER_UNIT, Positive, Units
 
 _WORDS: dict[Units, str] = {
     "m": "m metre meter metres meters mtr masl mamsl",

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.geo.grid import BLOCK_PX, MapView
-from terrain.geo.world import transformer
-from terrain.ground.elevation import Elevation
+from skugga.terrain.geo.grid import BLOCK_PX, MapView
+from skugga.terrain.geo.world import transformer
+from skugga.terrain.ground.elevation import Elevation
 
 EXTENT_SAMPLES = 17
 """Points a side of a view whose cells are found."""

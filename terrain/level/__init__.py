@@ -1,4 +1,1 @@
-"""Level files: what an author writes, as validated values, and the data sets that come with Skugga.
-
-May import: no other room.
-"""
+"""Level files: what an author writes, as validated values, and the data sets that come with Skugga."""

@@ -1,4 +1,4 @@
-"""The names of shadow algorithms that a level may ask for. What they are is said by ``shadows.registry``, a floor above."""
+"""The names of shadow algorithms that a level may ask for. What they are is said by ``skugga.shadows.registry``, a floor above."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
 ALGORITHM_NAMES = ["shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"]
-"""All names. ``shadows.registry.register_algorithm`` adds to them, so nobody keeps a copy."""
+"""All names. ``skugga.shadows.registry.register_algorithm`` adds to them, so nobody keeps a copy."""
 
 
 REFERENCE_NAMES = ["truth"]

@@ -13,7 +13,7 @@ from rasterio.crs import CRS
 from rasterio.io import MemoryFile
 from rasterio.warp import Resampling, calculate_default_transform, reproject
 
-from terrain.cache import MIB, cached
+from skugga.terrain.cache import MIB, cached
 
 
 def _write(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | None) -> MemoryFile:

@@ -1,4 +1,6 @@
-"""Camera files: key positions with times (YAML), as validated values. The way between them is that of ``terrain.camera_path``."""
+"""Camera files: key positions with times (YAML), as validated values. The way between them is that of
+``skugga.terrain.camera_path``.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,13 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 from ruamel.yaml.error import YAMLError
 
-from terrain.errors import Fault, LevelError
-from terrain.level.data_files import special_kind
-from terrain.level.durations import parse_duration
-from terrain.level.level_errors import level_error
-from terrain.level.level_text import parse_level_text
-from terrain.level.model import Model, Position
-from terrain.level.parts import PixelCount, time_of
+from skugga.terrain.errors import Fault, LevelError
+from skugga.terrain.level.data_files import special_kind
+from skugga.terrain.level.durations import parse_duration
+from skugga.terrain.level.level_errors import level_error
+from skugga.terrain.level.level_text import parse_level_text
+from skugga.terrain.level.model import Model, Position
+from skugga.terrain.level.parts import PixelCount, time_of
 
 MOST_KEYS = 1000
 """Of a camera path."""

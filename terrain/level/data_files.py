@@ -6,8 +6,8 @@ import os
 import stat
 from pathlib import Path
 
-from terrain.errors import SourceError
-from terrain.level.linked_files import is_remote, linked_files, vrt_elements
+from skugga.terrain.errors import SourceError
+from skugga.terrain.level.linked_files import is_remote, linked_files, vrt_elements
 
 FOLDER = "a folder"
 

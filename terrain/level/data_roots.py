@@ -12,9 +12,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from terrain.errors import Fault, LevelError, SourceError
-from terrain.level.linked_files import files_beside, is_remote
-from terrain.level.rasters import open_raster
+from skugga.terrain.errors import Fault, LevelError, SourceError
+from skugga.terrain.level.linked_files import files_beside, is_remote
+from skugga.terrain.level.rasters import open_raster
 
 _SCHEMES = ("http", "https", "ftp", "s3", "gs", "az", "oss", "swift")
 _ARCHIVES = re.compile(r"(?:/vsi(?:zip|gzip|tar|7z|rar)/)+")

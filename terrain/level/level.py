@@ -15,17 +15,17 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 from pydantic_core import InitErrorDetails, PydanticCustomError
 from ruamel.yaml.error import YAMLError
 
-from terrain.errors import Fault, InputError, LevelError, printable
-from terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
-from terrain.level.data_files import special_kind
-from terrain.level.data_roots import DataRoots
-from terrain.level.level_errors import UNKNOWN_KEY, level_error
-from terrain.level.level_source import KEYS_OF_OPTIONS, LevelSource
-from terrain.level.level_text import MOST_CHARACTERS, parse_level_text
-from terrain.level.linked_files import is_remote, linked_files
-from terrain.level.model import Model
-from terrain.level.motion import ClockSeconds
-from terrain.level.parts import (
+from skugga.terrain.errors import Fault, InputError, LevelError, printable
+from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
+from skugga.terrain.level.data_files import special_kind
+from skugga.terrain.level.data_roots import DataRoots
+from skugga.terrain.level.level_errors import UNKNOWN_KEY, level_error
+from skugga.terrain.level.level_source import KEYS_OF_OPTIONS, LevelSource
+from skugga.terrain.level.level_text import MOST_CHARACTERS, parse_level_text
+from skugga.terrain.level.linked_files import is_remote, linked_files
+from skugga.terrain.level.model import Model
+from skugga.terrain.level.motion import ClockSeconds
+from skugga.terrain.level.parts import (
     TIME_WORDS,
     ForestSpec,
     LightSpec,
@@ -39,15 +39,15 @@ from terrain.level.parts import (
     Weather,
     time_of,
 )
-from terrain.level.pin_scope import PinScope, never_taken
-from terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
-from terrain.level.setting import Requests
+from skugga.terrain.level.pin_scope import PinScope, never_taken
+from skugga.terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
+from skugga.terrain.level.setting import Requests
 
 EffectName = Literal[
     "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters",
     "ground_detail", "snow", "crowns", "clouds", "sky_view", "lamps", "water", "haze",
 ]  # fmt: skip
-"""Effects: each is the file of its name in ``terrain.effects``; those of one stage run in this order."""
+"""Effects: each is the file of its name in ``skugga.terrain.effects``; those of one stage run in this order."""
 
 CasterKind = Literal["relief", "meshes", "forest"]
 """What can cast: the heightfield, buildings and models, alpha-tested trees."""
@@ -175,7 +175,7 @@ class Level(Model):
     water: Water | None = None
     forest: tuple[ForestSpec, ...] = ()
     meshes: tuple[MeshSpec, ...] = ()
-    sun: SunSpec | Literal["none"] | None = None  # a low one of the level's own place: ``terrain.own_sun``
+    sun: SunSpec | Literal["none"] | None = None  # a low one of the level's own place: ``skugga.terrain.own_sun``
     lights: dict[LightName, LightSpec] = {}
     weather: Weather = Weather()
     style: StyleSpec = StyleSpec()
@@ -266,7 +266,7 @@ class LoadedLevel(BaseModel):
     @property
     def source(self) -> str:
         """The raster's path, relative to nothing; a bundled data set's name stays as it is, a made ground has none ("")."""
-        from terrain.level.bundled import BUNDLED
+        from skugga.terrain.level.bundled import BUNDLED
 
         source = self.level.terrain.source
         return source or "" if source is None or source in BUNDLED else self.resolve(source)
@@ -279,7 +279,7 @@ class LoadedLevel(BaseModel):
     @property
     def sources(self) -> tuple[str, ...]:
         """All files that the level names, relative to nothing."""
-        from terrain.level.bundled import BUNDLED
+        from skugga.terrain.level.bundled import BUNDLED
 
         level = self.level
         named = [level.terrain.source, level.terrain.imagery, *(stand.source for stand in level.forest)]

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic_core import ErrorDetails
 
-from terrain.errors import MISSING_VALUE, Fault, LevelError, all_at_once
+from skugga.terrain.errors import MISSING_VALUE, Fault, LevelError, all_at_once
 
 MOST_ERRORS = 1000
 """Of pydantic's that are looked at, each beside each."""

@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from terrain.errors import InputError, printable
-from terrain.level.parts import METRES_PER_UNIT, Positive, Units
+from skugga.terrain.errors import InputError, printable
+from skugga.terrain.level.parts import METRES_PER_UNIT, Positive, Units
 
 KEYS_OF_OPTIONS = {
     "canopy": "forest: [{source: FILE}]",

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ModelWrapValidatorHandler, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from terrain.level.level_errors import UNKNOWN_KEY
+from skugga.terrain.level.level_errors import UNKNOWN_KEY
 
 Coordinate = Annotated[float, Field(ge=-1e9, le=1e9)]
 MapPosition = tuple[Coordinate, Coordinate]

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from terrain.level.model import Coordinate, MapPosition, Model
+from skugga.terrain.level.model import Coordinate, MapPosition, Model
 
 LEAST_KEY_STEP_S = 0.001
 """Time between two keys of a path, at least."""

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from terrain.level.model import MapPosition, Model, Position
-from terrain.level.motion import LampMotion, MeshMotion, wrong_parts
+from skugga.terrain.level.model import MapPosition, Model, Position
+from skugga.terrain.level.motion import LampMotion, MeshMotion, wrong_parts
 
 Units = Literal["m", "ft", "us-ft", "dm", "cm", "mm", "km", "yd", "fathom"]
 METRES_PER_UNIT: dict[Units, float] = {
@@ -151,7 +151,7 @@ class Weather(Model):
 
 
 StyleName = Literal["natural", "swiss", "grey", "urban", "analysis"]
-"""Named styles: ``terrain.style.STYLES``."""
+"""Named styles: ``skugga.terrain.style.STYLES``."""
 
 SlopeExaggeration = Annotated[float, Field(ge=0.1, le=20)]
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field, field_validator
 from pydantic_core import PydanticCustomError
 
-from terrain.level.model import Model
+from skugga.terrain.level.model import Model
 
 Degrees = Annotated[float, Field(ge=-90, le=90)]
 Range = tuple[float, float]

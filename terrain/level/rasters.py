@@ -6,8 +6,8 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from terrain.errors import SourceError
-from terrain.level.data_files import check_geodata
+from skugga.terrain.errors import SourceError
+from skugga.terrain.level.data_files import check_geodata
 
 if TYPE_CHECKING:
     import rasterio

@@ -1,4 +1,1 @@
-"""Solid things: buildings, models and generated bodies, set on the ground as one set of triangles.
-
-May import: geo, ground, level.
-"""
+"""Solid things: buildings, models and generated bodies, set on the ground as one set of triangles."""

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.errors import MISSING_VALUE, LevelError
-from terrain.geo.world import World
-from terrain.ground.elevation import Elevation
-from terrain.ground.geolocate import Geolocator
-from terrain.ground.ground_path import path_over_ground
-from terrain.level.level import LoadedLevel
-from terrain.level.model import MapPosition
-from terrain.level.parts import MeshSpec
-from terrain.meshes.body import Body, BodyMotion, PlacedBody, srgb_albedo, transformed, turn_about_up
-from terrain.meshes.buildings import buildings
-from terrain.meshes.models import is_model, read_model
-from terrain.meshes.solids import Solids
+from skugga.terrain.errors import MISSING_VALUE, LevelError
+from skugga.terrain.geo.world import World
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.geolocate import Geolocator
+from skugga.terrain.ground.ground_path import path_over_ground
+from skugga.terrain.level.level import LoadedLevel
+from skugga.terrain.level.model import MapPosition
+from skugga.terrain.level.parts import MeshSpec
+from skugga.terrain.meshes.body import Body, BodyMotion, PlacedBody, srgb_albedo, transformed, turn_about_up
+from skugga.terrain.meshes.buildings import buildings
+from skugga.terrain.meshes.models import is_model, read_model
+from skugga.terrain.meshes.solids import Solids
 
 MODEL_KEYS = ("at", "scale", "turn", "caster", "motion")
 """Keys of a mesh that footprints, which stand where their file says, have no use for."""
@@ -136,7 +136,7 @@ def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
         assert spec.source is not None
         bodies = [read_model(loaded.resolve(spec.source))]
     else:
-        from terrain.meshes.generators import GENERATORS
+        from skugga.terrain.meshes.generators import GENERATORS
 
         bodies = GENERATORS[spec.generate]()
     if spec.color is None:

@@ -7,7 +7,7 @@ from collections import deque
 import mapbox_earcut
 import numpy as np
 
-from terrain.meshes.roofs import Roof
+from skugga.terrain.meshes.roofs import Roof
 
 
 def block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 import trimesh
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled
-from terrain.ground.ground_path import GroundPath
-from terrain.srgb import linear_of_srgb
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled
+from skugga.terrain.ground.ground_path import GroundPath
+from skugga.terrain.srgb import linear_of_srgb
 
 NEUTRAL = (0.6, 0.6, 0.6)
 """sRGB colour of what has none: light gray."""

@@ -1,4 +1,5 @@
-"""Buildings: footprints extruded to closed blocks, with flat roofs or, on small houses, pitched ones (``terrain.meshes.roofs``).
+"""Buildings: footprints extruded to closed blocks, with flat roofs or, on small houses, pitched ones
+(``skugga.terrain.meshes.roofs``).
 
 A flat roof, or the ridge, lies level at the mean ground along the footprint's outline plus the building's height; heights that
 are measured in a surface raster are counted from there too, so that the roof lies where the surface does. Walls go down to
@@ -19,18 +20,18 @@ import shapely
 from pyproj import CRS
 from pyproj.exceptions import ProjError
 
-from terrain.errors import MISSING_VALUE, LevelError, SourceError
-from terrain.geo.vectors import Features, VectorLayer, attribute_names, check_divided, read_features, vector_layer
-from terrain.geo.world import World, transformer
-from terrain.ground.elevation import Elevation
-from terrain.ground.geolocate import bounds_text
-from terrain.level.bundled import BUNDLED
-from terrain.level.level import LoadedLevel
-from terrain.level.parts import MeshSpec, RoofForm
-from terrain.meshes.block_triangles import block_triangles, roof_triangles, sloped_triangles
-from terrain.meshes.body import Body, PlacedBody, srgb_albedo
-from terrain.meshes.footprint_heights import base_attributes, footprint_heights, height_attributes, spelt_like
-from terrain.meshes.roofs import roof_over
+from skugga.terrain.errors import MISSING_VALUE, LevelError, SourceError
+from skugga.terrain.geo.vectors import Features, VectorLayer, attribute_names, check_divided, read_features, vector_layer
+from skugga.terrain.geo.world import World, transformer
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.geolocate import bounds_text
+from skugga.terrain.level.bundled import BUNDLED
+from skugga.terrain.level.level import LoadedLevel
+from skugga.terrain.level.parts import MeshSpec, RoofForm
+from skugga.terrain.meshes.block_triangles import block_triangles, roof_triangles, sloped_triangles
+from skugga.terrain.meshes.body import Body, PlacedBody, srgb_albedo
+from skugga.terrain.meshes.footprint_heights import base_attributes, footprint_heights, height_attributes, spelt_like
+from skugga.terrain.meshes.roofs import roof_over
 
 FOOTING_M = 0.5
 """How far walls reach below the lowest ground of their outline."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.compiled import compiled, in_shares, internal
+from skugga.terrain.compiled import compiled, in_shares, internal
 
 
 class FacesRound(NamedTuple):

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.errors import SourceError
-from terrain.geo.vectors import Features
-from terrain.ground.length_text import length_m
-from terrain.level.parts import METRES_PER_UNIT
+from skugga.terrain.errors import SourceError
+from skugga.terrain.geo.vectors import Features
+from skugga.terrain.ground.length_text import length_m
+from skugga.terrain.level.parts import METRES_PER_UNIT
 
 LEVEL_M = 3.0
 """Of a storey, where a file counts storeys (OpenStreetMap's usual one)."""

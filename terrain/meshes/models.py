@@ -15,10 +15,10 @@ import trimesh
 from trimesh.visual import ColorVisuals, TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from terrain.errors import SourceError
-from terrain.level.data_files import check_file
-from terrain.level.linked_files import gltf_parts
-from terrain.meshes.body import MOST_SMOOTHED, NEUTRAL, Body, srgb_albedo
+from skugga.terrain.errors import SourceError
+from skugga.terrain.level.data_files import check_file
+from skugga.terrain.level.linked_files import gltf_parts
+from skugga.terrain.meshes.body import MOST_SMOOTHED, NEUTRAL, Body, srgb_albedo
 
 Y_UP_SUFFIXES = (".glb", ".gltf")
 

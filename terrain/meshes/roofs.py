@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrain.level.parts import RoofForm
+from skugga.terrain.level.parts import RoofForm
 
 SLOPE = 0.7
 """Rise over run of roofs: 35 degrees, as tiles want it."""

@@ -1,4 +1,1 @@
-"""Vegetation as data: where trees stand, in which order they are thinned out, and how their leaves look.
-
-May import: geo, ground, level.
-"""
+"""Vegetation as data: where trees stand, in which order they are thinned out, and how their leaves look."""

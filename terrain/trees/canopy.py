@@ -17,15 +17,15 @@ from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
-from terrain.compiled import compiled
-from terrain.errors import SourceError
-from terrain.geo.axes import axes_of
-from terrain.geo.vectors import between, same_coordinates
-from terrain.ground.georeference import check_cells, check_geotransform
-from terrain.ground.open_raster import dataset_with_masks
-from terrain.ground.vertical import vertical_axis
-from terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
-from terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
+from skugga.terrain.compiled import compiled
+from skugga.terrain.errors import SourceError
+from skugga.terrain.geo.axes import axes_of
+from skugga.terrain.geo.vectors import between, same_coordinates
+from skugga.terrain.ground.georeference import check_cells, check_geotransform
+from skugga.terrain.ground.open_raster import dataset_with_masks
+from skugga.terrain.ground.vertical import vertical_axis
+from skugga.terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
+from skugga.terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
 
 COARSE_CELL_M = 3.0
 """Cells wider than this show no single trees."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrain.errors import SourceError
+from skugga.terrain.errors import SourceError
 
 MAX_HEIGHT_M = 150.0
 """Canopy above is none."""

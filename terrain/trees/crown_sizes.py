@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.level.parts import Species
-from terrain.trees.foliage import TREE_VARIANTS
-from terrain.trees.scatter import shares
+from skugga.terrain.level.parts import Species
+from skugga.terrain.trees.foliage import TREE_VARIANTS
+from skugga.terrain.trees.scatter import shares
 
 HEIGHT, CROWN, SPECIES, LOOK, TURN, SPREAD = range(6)
 """Streams of shares."""

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from terrain.cache import MIB, cached
-from terrain.compiled import compiled
-from terrain.errors import InputError
-from terrain.srgb import linear_of_srgb, srgb_of_linear
-from terrain.trees.foliage_paint import Clumped, Whorled, paint
-from terrain.trees.kept_pictures import kept_pictures
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.compiled import compiled
+from skugga.terrain.errors import InputError
+from skugga.terrain.srgb import linear_of_srgb, srgb_of_linear
+from skugga.terrain.trees.foliage_paint import Clumped, Whorled, paint
+from skugga.terrain.trees.kept_pictures import kept_pictures
 
 THRESHOLD = 0.5  # share of alpha from which a point of a picture is tree
 TEXTURE_PX = 256

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from terrain.compiled import compiled
+from skugga.terrain.compiled import compiled
 
 SUPERSAMPLING = 3  # samples a texel and axis
 SNAP = 2.0**-20  # heights of the tree; strokes are snapped so that the last bits of a machine's sines cannot change a picture

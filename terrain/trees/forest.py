@@ -16,16 +16,25 @@ from pyproj.crs import GeographicCRS, ProjectedCRS
 from pyproj.crs.coordinate_operation import LambertAzimuthalEqualAreaConversion
 from pyproj.exceptions import ProjError
 
-from terrain.errors import MISSING_VALUE, LevelError, SourceError
-from terrain.geo.vectors import Features, attribute_names, numbers, read_features, vector_layer
-from terrain.geo.world import World, longitude_latitude_of, transformer
-from terrain.ground.elevation import Elevation
-from terrain.ground.length_text import length_m
-from terrain.level.level import LoadedLevel
-from terrain.level.parts import ForestSpec, Species
-from terrain.level.rasters import is_raster
-from terrain.trees.canopy import COARSE_CELL_M, MAX_CROWN_RATIO, PACKING, TREETOP_WINDOW_M, Canopy, CellWindow, border_cells, room_m
-from terrain.trees.canopy_sample import (
+from skugga.terrain.errors import MISSING_VALUE, LevelError, SourceError
+from skugga.terrain.geo.vectors import Features, attribute_names, numbers, read_features, vector_layer
+from skugga.terrain.geo.world import World, longitude_latitude_of, transformer
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.length_text import length_m
+from skugga.terrain.level.level import LoadedLevel
+from skugga.terrain.level.parts import ForestSpec, Species
+from skugga.terrain.level.rasters import is_raster
+from skugga.terrain.trees.canopy import (
+    COARSE_CELL_M,
+    MAX_CROWN_RATIO,
+    PACKING,
+    TREETOP_WINDOW_M,
+    Canopy,
+    CellWindow,
+    border_cells,
+    room_m,
+)
+from skugga.terrain.trees.canopy_sample import (
     GIANT_HEIGHT_M,
     MAX_SHRUBS,
     SHRUB_HEIGHT_M,
@@ -34,10 +43,10 @@ from terrain.trees.canopy_sample import (
     cells_of,
     check_above_ground,
 )
-from terrain.trees.crown_sizes import CROWN, CROWN_M, HEIGHT, SPREAD, TURN, line_of, looks_of, own_crown_m
-from terrain.trees.scatter import HECTARE_M2, Places, join_places, point_keys, scatter_trees, shares
-from terrain.trees.thinning import thinning_ranks
-from terrain.trees.trees import Trees
+from skugga.terrain.trees.crown_sizes import CROWN, CROWN_M, HEIGHT, SPREAD, TURN, line_of, looks_of, own_crown_m
+from skugga.terrain.trees.scatter import HECTARE_M2, Places, join_places, point_keys, scatter_trees, shares
+from skugga.terrain.trees.thinning import thinning_ranks
+from skugga.terrain.trees.trees import Trees
 
 MAX_TREES = 5_000_000
 """Trees that a level may have."""

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from terrain.user_cache import arrays_kept_in, user_cache
-from terrain.whole_files import replaced_whole
+from skugga.terrain.user_cache import arrays_kept_in, user_cache
+from skugga.terrain.whole_files import replaced_whole
 
 VERSIONS = np.__version__, version("scipy"), version("numba")
 """Of the packages that paint: others may round otherwise."""

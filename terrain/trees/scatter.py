@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from terrain.compiled import compiled, internal
+from skugga.terrain.compiled import compiled, internal
 
 LEAST_SPACING = 0.5
 """Least distance between two trees, in cells. A cell's centre is that far from whatever stands in other cells."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.compiled import compiled
-from terrain.trees.scatter import pair_key
+from skugga.terrain.compiled import compiled
+from skugga.terrain.trees.scatter import pair_key
 
 
 def thinning_ranks(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:

@@ -20,9 +20,10 @@ class Trees:
     turn_deg
         float32 (n,), how the crossed quads are turned about the stem, counter-clockwise from east.
     look
-        uint8 (n,), index into ``terrain.trees.foliage.TREE_VARIANTS``.
+        uint8 (n,), index into ``skugga.terrain.trees.foliage.TREE_VARIANTS``.
     rank
-        float32 (n,) in [0, 1): which trees a thinned stand keeps (those below the kept share); see ``terrain.trees.thinning``.
+        float32 (n,) in [0, 1): which trees a thinned stand keeps (those below the kept share); see
+        ``skugga.terrain.trees.thinning``.
     """
 
     base_earth_m: np.ndarray

@@ -19,14 +19,14 @@ from fastapi import FastAPI
 from morecantile import tms as matrix_sets
 from pmtiles.tile import zxy_to_tileid
 
-from api.http.app import create_app
-from api.http.bounded_headers import BoundedHeaders
-from api.http.server import Server, log_config
-from api.http.service import Service
-from api.seed.archive import ArchiveFacts, ShardIndex, write_archive
-from api.settings import Settings
-from api.workers.block_tiles import empty_tile
-from api.workers.spawned import WorkerTarget
+from skugga.api.http.app import create_app
+from skugga.api.http.bounded_headers import BoundedHeaders
+from skugga.api.http.server import Server, log_config
+from skugga.api.http.service import Service
+from skugga.api.seed.archive import ArchiveFacts, ShardIndex, write_archive
+from skugga.api.settings import Settings
+from skugga.api.workers.block_tiles import empty_tile
+from skugga.api.workers.spawned import WorkerTarget
 from tests.rasters import ENGINEERING
 
 ZOOM = 12

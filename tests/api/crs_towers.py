@@ -13,11 +13,11 @@ from affine import Affine
 from pyproj import CRS, Geod, Transformer
 from rasterio.errors import NotGeoreferencedWarning
 
-from api.layers import MASK_LIT, MASK_SHADOW
-from api.shade import raster_view, write_shade
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.api.layers import MASK_LIT, MASK_SHADOW
+from skugga.api.shade import raster_view, write_shade
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 
 SIDE, HALF, HEIGHT_M, CELL_M = 101, 2, 60.0, 10.0
 ALTITUDE_DEG = 15.0

@@ -17,17 +17,17 @@ from pyproj.enums import PJType
 from pyproj.exceptions import CRSError, ProjError
 
 import skugga
-from api.layers import MASK_NO_SURFACE, MASK_SHADOW
-from api.shade import raster_view, shade_array, write_shade
-from api.sun_hours import write_sun_hours
-from shadows.sun_hours.sun_hours import SunRules
-from terrain.errors import InputError, SourceError, UnsupportedError
-from terrain.geo.clock import clock_named
-from terrain.geo.daily_windows import readings_of, windows_asked
-from terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, is_on_earth, longitude_latitude_of, transformer
-from terrain.level.level import load_level, parse_sun
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.api.layers import MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.shade import raster_view, shade_array, write_shade
+from skugga.api.sun_hours import write_sun_hours
+from skugga.shadows.sun_hours.sun_hours import SunRules
+from skugga.terrain.errors import InputError, SourceError, UnsupportedError
+from skugga.terrain.geo.clock import clock_named
+from skugga.terrain.geo.daily_windows import readings_of, windows_asked
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, ellipsoid_of, is_on_earth, longitude_latitude_of, transformer
+from skugga.terrain.level.level import load_level, parse_sun
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.api.crs_towers import ALTITUDE_DEG, AZIMUTHS_DEG, SIDE, fall_of, mask_of, plain_with_tower, write_plain
 from tests.rasters import write_geotiff
 

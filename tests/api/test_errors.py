@@ -4,14 +4,11 @@ import pkgutil
 
 import pytest
 
-import api
-import selector
-import shadows
-import terrain
-from api.errors import DONE, FAILED, OUTCOMES, WRONG_INPUT, LaterError, NotServedError, exit_status, outcome_of
-from api.workers.jobs import Failure
-from terrain import errors
-from terrain.errors import SkuggaError
+from skugga import api, selector, shadows, terrain
+from skugga.api.errors import DONE, FAILED, OUTCOMES, WRONG_INPUT, LaterError, NotServedError, exit_status, outcome_of
+from skugga.api.workers.jobs import Failure
+from skugga.terrain import errors
+from skugga.terrain.errors import SkuggaError
 
 
 def every_error() -> list[type[SkuggaError]]:

@@ -14,15 +14,15 @@ import pytest
 from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute
 
-from api.animations.animations import Animations
-from api.errors import ExhaustedError, outcome_of
-from api.exhaustion import exhausted_error, in_thread
-from api.settings import Settings
-from api.workers import background_compile
-from api.workers.background_compile import BackgroundCompile
-from api.workers.idle_work import IdleJob, IdleWork
-from api.workers.pool import Pool
-from terrain.errors import SourceError
+from skugga.api.animations.animations import Animations
+from skugga.api.errors import ExhaustedError, outcome_of
+from skugga.api.exhaustion import exhausted_error, in_thread
+from skugga.api.settings import Settings
+from skugga.api.workers import background_compile
+from skugga.api.workers.background_compile import BackgroundCompile
+from skugga.api.workers.idle_work import IdleJob, IdleWork
+from skugga.api.workers.pool import Pool
+from skugga.terrain.errors import SourceError
 from tests.api.animations.test_animations import order as film_order
 from tests.api.http.test_level_checks import no_threads
 from tests.api.http.test_openapi import ROUTERS

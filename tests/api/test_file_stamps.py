@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from api.file_stamps import file_stamps, level_version, watched_files
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
+from skugga.api.file_stamps import file_stamps, level_version, watched_files
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
 from tests.rasters import write_geotiff
 
 

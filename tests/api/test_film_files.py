@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from api import animated_webp
-from api.animated_webp import changes
-from api.film_files import check_film_path, film_files, write_film
-from terrain.compiled import CORES
-from terrain.errors import InputError
+from skugga.api import animated_webp
+from skugga.api.animated_webp import changes
+from skugga.api.film_files import check_film_path, film_files, write_film
+from skugga.terrain.compiled import CORES
+from skugga.terrain.errors import InputError
 
 FPS = 20.0
 FILMS = "film.webp", "film.mp4", "frames/%03d.png"

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.film_span import film_span
-from selector.film_request import FilmSpan
-from terrain.errors import InputError
-from terrain.level.camera_file import CameraPathSpec
+from skugga.api.film_span import film_span
+from skugga.selector.film_request import FilmSpan
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.camera_file import CameraPathSpec
 
 MORNING, EVENING = "2024-10-21T06:00:00-04:00", "2024-10-21T18:00:00-04:00"
 

@@ -5,8 +5,8 @@ import pytest
 from morecantile import tms as registered
 from pyproj import CRS
 
-from api.errors import NotServedError
-from api.matrices import (
+from skugga.api.errors import NotServedError
+from skugga.api.matrices import (
     ZoomRange,
     check_tile,
     detail_m,
@@ -16,7 +16,7 @@ from api.matrices import (
     served_matrix_sets,
     zoom_range,
 )
-from terrain.geo.world import World
+from skugga.terrain.geo.world import World
 
 MERCATOR = registered.get("WebMercatorQuad")
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from api.cli import snapshot as snapshot_module
-from api.errors import TooCostlyError
-from api.picture_cost import check_cost, remedy, soft_lamps
-from api.report.plan_text import format_expectation
-from shadows.plan import Plan, Predicted
-from terrain.scene import Scene
+from skugga.api.cli import snapshot as snapshot_module
+from skugga.api.errors import TooCostlyError
+from skugga.api.picture_cost import check_cost, remedy, soft_lamps
+from skugga.api.report.plan_text import format_expectation
+from skugga.shadows.plan import Plan, Predicted
+from skugga.terrain.scene import Scene
 from tests.render import plan_of
 from tests.shadows.test_area_light import LAMPS, figure
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from api import png
-from api.png import encode_png
+from skugga.api import png
+from skugga.api.png import encode_png
 
 SHAPES = {"gray": (5, 7), "gray and alpha": (5, 7, 2), "RGB": (256, 256, 3), "RGBA": (1, 9, 4), "one pixel": (1, 1, 3)}
 

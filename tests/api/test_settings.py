@@ -1,9 +1,9 @@
 import pytest
 from pydantic import ValidationError
 
-from api import settings as module
-from api.settings import Settings, load_settings
-from terrain.errors import InputError
+from skugga.api import settings as module
+from skugga.api.settings import Settings, load_settings
+from skugga.terrain.errors import InputError
 
 
 def test_defaults_are_safe():

@@ -10,12 +10,12 @@ import pytest
 import rasterio
 from affine import Affine
 
-from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
-from api.shade import raster_view, write_shade
-from terrain.errors import InputError, SourceError
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.shade import raster_view, write_shade
+from skugga.terrain.errors import InputError, SourceError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 
 LOW = SunSpec(azimuth=250.0, altitude=12.0)
@@ -56,7 +56,7 @@ def test_a_mask_lies_on_the_rasters_own_cells(scene, tmp_path):
 
 def test_it_is_what_pictures_say_of_the_same_points(gl, scene, tmp_path, monkeypatch):
     quick, _ = written(scene, tmp_path)
-    monkeypatch.setattr("shadows.sunlit_ground.sunlit_ground", lambda *_: None)
+    monkeypatch.setattr("skugga.shadows.sunlit_ground.sunlit_ground", lambda *_: None)
     slow, _ = written(scene, tmp_path)
     assert 0.1 < (slow == MASK_SHADOW).mean() < 0.6
     np.testing.assert_array_equal(quick, slow)
@@ -160,7 +160,7 @@ def test_what_fails_leaves_what_was_there(scene, tmp_path, monkeypatch):
     def fail(*_):
         raise SourceError("hills.tif", "gone", "a raster")
 
-    monkeypatch.setattr("shadows.sunlit_ground.sunlit_ground", fail)
+    monkeypatch.setattr("skugga.shadows.sunlit_ground.sunlit_ground", fail)
     with pytest.raises(SourceError):
         written(scene, tmp_path)
     assert path.read_bytes() == before

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import rasterio
 
-from api.layers import MASK_NO_SURFACE, MASK_SHADOW
-from api.stac_item import read_stac_item
-from terrain.errors import InputError
+from skugga.api.layers import MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.stac_item import read_stac_item
+from skugga.terrain.errors import InputError
 from tests.rasters import write_geotiff
 
 WEST, NORTH = 499_980.0, 5_200_020.0
@@ -133,7 +133,7 @@ def dem(tmp_path: Path) -> Path:
 @pytest.fixture
 def shaded(monkeypatch, capsys, tmp_path, dem):
     """``shaded(*options)`` gives the mask that ``skugga shade`` writes, and its file's profile."""
-    from api.cli import main as cli
+    from skugga.api.cli import main as cli
 
     def run(*options: str) -> tuple[np.ndarray, dict[str, Any]]:
         monkeypatch.setattr("sys.argv", ["skugga", "shade", str(dem), *options, "-o", str(tmp_path / "mask.tif")])
@@ -162,7 +162,7 @@ def test_the_sun_is_the_items(shaded, write):
 
 
 def test_another_way_to_say_when_is_refused(monkeypatch, capsys, tmp_path, dem, write):
-    from api.cli import main as cli
+    from skugga.api.cli import main as cli
 
     monkeypatch.setattr("sys.argv", ["skugga", "shade", str(dem), "--stac", str(write(landsat())), "--time", "2024-01-15T09:45:31Z",
                                      "-o", str(tmp_path / "mask.tif")])  # fmt: skip

@@ -13,17 +13,17 @@ import rasterio
 import shapely
 from rasterio.warp import transform as warped
 
-from api import contour_lines
-from api import sun_hours as module
-from api.contour_lines import write_contours
-from api.shade import raster_view
-from api.sun_hours import sun_blocks, write_sun_hours
 from benchmarks.sweep_speed import mountains
-from shadows.sun_hours.sun_hours import SunRules
-from terrain.errors import InputError
-from terrain.geo.daily_windows import daily_window
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api import contour_lines
+from skugga.api import sun_hours as module
+from skugga.api.contour_lines import write_contours
+from skugga.api.shade import raster_view
+from skugga.api.sun_hours import sun_blocks, write_sun_hours
+from skugga.shadows.sun_hours.sun_hours import SunRules
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.daily_windows import daily_window
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
 
 CELL_M = 30.0

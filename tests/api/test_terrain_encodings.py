@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from api.layers import encoded_heights, nodata_height_m
-from api.terrain_encodings import terrain_rgb, terrarium
+from skugga.api.layers import encoded_heights, nodata_height_m
+from skugga.api.terrain_encodings import terrain_rgb, terrarium
 
 
 def mapbox_height_m(rgb: np.ndarray) -> np.ndarray:

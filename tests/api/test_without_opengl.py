@@ -11,8 +11,8 @@ import pytest
 import rasterio
 from PIL import Image
 
-from api.cli.snapshot import snapshot
-from terrain.gl.egl_devices import NO_OPENGL
+from skugga.api.cli.snapshot import snapshot
+from skugga.terrain.gl.egl_devices import NO_OPENGL
 from tests.api.conftest import CORNER, SUN, ZOOM, Client, write_level
 from tests.api.http.test_problems import check_problem
 from tests.api.http.test_serve import ROOT, serving
@@ -24,7 +24,7 @@ WITHOUT_DRIVERS = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent.json"}
 
 COMMANDS = """
 import contextlib, io, json, sys
-from api.cli.main import main
+from skugga.api.cli.main import main
 
 for arguments in json.loads(sys.argv[1]):
     sys.argv, said, wrong = ["skugga", *arguments], io.StringIO(), io.StringIO()

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from api.catalogue import find_level
 from benchmarks.frame_tables import (
     BASE,
     BEGIN,
@@ -24,14 +23,15 @@ from benchmarks.frame_tables import (
 )
 from benchmarks.frames import PICTURES, ROOT, Found, in_turns, main, side
 from benchmarks.yardstick import Yardstick
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import RELIEF
-from terrain.geo.camera import PerspectiveView
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.api.catalogue import find_level
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 
 TINY = replace(
     PICTURES["SpatialAce"],

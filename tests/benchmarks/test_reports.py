@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 import typer
 
-from api.cli.main import app
 from benchmarks.reports import __main__ as reports
 from benchmarks.reports.measure import MOST_BYTES, publish, record
 from benchmarks.reports.page import commands, comparisons
 from benchmarks.reports.scenes import SCENES
 from benchmarks.selection.page import END, START
-from shadows.truth.metrics import MOST_INTERIOR
+from skugga.api.cli.main import app
+from skugga.shadows.truth.metrics import MOST_INTERIOR
 from tests.api.report.test_summary import NONE, comparison, figures
 
 DOCS = reports.ROOT / "docs"

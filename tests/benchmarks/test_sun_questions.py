@@ -10,7 +10,7 @@ from benchmarks.sun_questions.many_masks import MASK_COUNT, mask_times, wrong_sh
 from benchmarks.sun_questions.one_horizon import exact_horizon, surface_at
 from benchmarks.sun_questions.sun_paths import hours_before_cliff, r_sun_path, suncalc
 from benchmarks.sun_questions.words import answer_table, question_verdict
-from terrain.geo.sun_path import sun_path
+from skugga.terrain.geo.sun_path import sun_path
 
 
 def answer(tool: str, ours: bool, seconds: float, wrong: float, question: str = "hours of a day") -> SunAnswer:

@@ -21,10 +21,10 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Error, FloatRect, Page, ViewportSize, expect, sync_playwright
 
-from api.catalogue import find_level
-from api.http.app import create_app
-from api.http.routes_viewer import STATIC_FOLDER
-from api.settings import Settings
+from skugga.api.catalogue import find_level
+from skugga.api.http.app import create_app
+from skugga.api.http.routes_viewer import STATIC_FOLDER
+from skugga.api.settings import Settings
 from tests.api.conftest import Client, running
 from tests.browser.map_clients import CLIENTS, LEVEL, LIBRARIES, WINDOW_PX, MapClient, served_folder
 from tests.browser.watched_page import WatchedPage

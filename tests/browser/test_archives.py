@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from api.http.app import create_app
-from api.http.archive_file import ArchiveFile
-from api.settings import Settings
+from skugga.api.http.app import create_app
+from skugga.api.http.archive_file import ArchiveFile
+from skugga.api.settings import Settings
 from tests.api.conftest import Client, running, write_tiles
 from tests.api.seed.pmtiles_checker import checked
 from tests.browser.conftest import missing

@@ -16,7 +16,7 @@ from PIL import Image
 from playwright.sync_api import FloatRect, expect
 from rasterio.io import MemoryFile
 
-from terrain.level.parts import PerspectiveSpec
+from skugga.terrain.level.parts import PerspectiveSpec
 from tests.api.conftest import Client
 from tests.browser.conftest import LEVEL, WINDOW, Viewer, missing
 from tests.browser.test_viewer_access import faults

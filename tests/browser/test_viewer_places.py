@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, expect
 
-from api.catalogue import find_level
+from skugga.api.catalogue import find_level
 from tests.api.conftest import Client, write_level
 from tests.browser.conftest import WINDOW, Viewer, ready_service, viewers_of
 from tests.browser.test_viewer_access import PHONE, faults

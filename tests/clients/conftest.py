@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from morecantile import tms
 
-from api.catalogue import find_level
-from api.http.app import create_app
-from api.http.served_levels import DEFAULT_MATRIX_SET
-from api.settings import Settings
+from skugga.api.catalogue import find_level
+from skugga.api.http.app import create_app
+from skugga.api.http.served_levels import DEFAULT_MATRIX_SET
+from skugga.api.settings import Settings
 from tests.api.conftest import Client, running
 
 HERE = Path(__file__).parent

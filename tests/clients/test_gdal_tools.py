@@ -15,7 +15,7 @@ import pytest
 import rasterio
 from PIL import Image
 
-from terrain.level.gdal_guard import NO_REMOTE_READS
+from skugga.terrain.level.gdal_guard import NO_REMOTE_READS
 from tests.api.conftest import Client
 from tests.clients.conftest import LEVEL, MATRIX_SET
 

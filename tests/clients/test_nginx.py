@@ -70,7 +70,7 @@ class Deployment:
     def start_service(self) -> None:
         """Start it, and wait until it can draw."""
         settings = {"SKUGGA_CALIBRATE_WHEN_IDLE": "false", "SKUGGA_PROBE_WHEN_IDLE": "false", "SKUGGA_WORKERS": "1"}
-        command = [sys.executable, "-c", "from api.cli.main import main; main()", "serve", str(self.level)]
+        command = [sys.executable, "-c", "from skugga.api.cli.main import main; main()", "serve", str(self.level)]
         with (self.folder / "service.log").open("a") as log:
             self.service = subprocess.Popen(
                 [*command, "--port", str(self.service_port)], cwd=ROOT, env={**os.environ, **settings}, stderr=log

@@ -18,12 +18,12 @@ import trimesh
 from pyogrio import raw
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.effects import EFFECTS
-from terrain.level.level import LoadedLevel, load_level
-from terrain.scene import Scene, build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.effects import EFFECTS
+from skugga.terrain.level.level import LoadedLevel, load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 
 UTM, CORNER_M = "EPSG:32633", (500_000.0, 5_300_000.0)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import terrain.effects
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.effects.effect import Effect, ShadingBlock, Verdict
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Fact
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain import effects
+from skugga.terrain.describe import describe
+from skugga.terrain.effects.effect import Effect, ShadingBlock, Verdict
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Fact
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
@@ -31,7 +31,7 @@ def settle(albedo: np.ndarray, block: ShadingBlock) -> None:
 @pytest.fixture
 def dust(monkeypatch: pytest.MonkeyPatch):
     effect = Effect("yellow dust on high ground", called_for, facts, stage="albedo", part=settle)
-    monkeypatch.setitem(terrain.effects.EFFECTS, "dust", effect)
+    monkeypatch.setitem(effects.EFFECTS, "dust", effect)
 
 
 def test_a_new_effect_is_planned_run_and_recorded(gl, dust, write_raster, make_scene):
@@ -57,12 +57,12 @@ def test_a_new_effect_is_planned_run_and_recorded(gl, dust, write_raster, make_s
 def test_where_it_is_not_called_for_its_part_is_not_called(gl, dust, write_raster, make_scene, monkeypatch):
     raster = write_raster(np.full((40, 40), 12.0, np.float32), "EPSG:32633", 500_000, 5_300_000, 10.0)
     scene = make_scene(raster)
-    effect = terrain.effects.EFFECTS["dust"]  # type: ignore[index]
+    effect = effects.EFFECTS["dust"]  # type: ignore[index]
 
     def fail(albedo: np.ndarray, block: ShadingBlock) -> None:
         raise AssertionError("run though left out")
 
-    monkeypatch.setitem(terrain.effects.EFFECTS, "dust", Effect(effect.about, effect.called_for, effect.facts, "albedo", fail))
+    monkeypatch.setitem(effects.EFFECTS, "dust", Effect(effect.about, effect.called_for, effect.facts, "albedo", fail))
     view = scene.view(size=(32, 32))
     plan = make_plan(describe(scene, view), scene.loaded.level)
     assert next(item.reason for item in plan.left_out if item.name == "dust") == "the highest ground is at 12 m"

@@ -7,7 +7,7 @@ from typing import get_args
 
 import pytest
 
-from terrain.level.level import EffectName
+from skugga.terrain.level.level import EffectName
 from tests.effects.edges import CASES, MOVES_EDGES, Found, Lab
 
 TIMID = 0.1

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-import configs
-from selector.planner.planner import make_plan
-from shadows.render import Frame, render_frame
-from terrain.describe import describe
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga import configs
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import Frame, render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 
 LEVELS = sorted(Path(configs.__file__).parent.glob("*.yaml"), key=lambda path: path.stem)
 

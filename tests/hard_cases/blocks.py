@@ -9,11 +9,11 @@ import numpy as np
 import shapely
 import trimesh
 
-from shadows.maps.perspective_shadow_map import MOST_TEXEL_PX
-from shadows.truth.metrics import SeenShadow, boundary, edge_distances, edge_sight, far_inside, sight_of
-from shadows.truth.truth import Truth, sub_views
-from terrain.gbuffer.resolve import RELIEF
-from terrain.geo.camera import PerspectiveView, look_at
+from skugga.shadows.maps.perspective_shadow_map import MOST_TEXEL_PX
+from skugga.shadows.truth.metrics import SeenShadow, boundary, edge_distances, edge_sight, far_inside, sight_of
+from skugga.shadows.truth.truth import Truth, sub_views
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.camera import PerspectiveView, look_at
 from tests.hard_cases.cases import Seen
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -88,7 +88,7 @@ def on_ground(view: PerspectiveView, which: np.ndarray) -> tuple[np.ndarray, np.
 def true_shade(seen: Seen, hulls: Sequence[shapely.Polygon]) -> Truth:
     """Truth on the level ground z = 0 that a camera sees, from the polygons of its shadow; everything else is left out.
 
-    As in ``shadows.truth.truth`` a pixel is decidable if four rays through it, taken to the ground, have one answer.
+    As in ``skugga.shadows.truth.truth`` a pixel is decidable if four rays through it, taken to the ground, have one answer.
     """
     view = seen.view
     assert isinstance(view, PerspectiveView)
@@ -102,7 +102,7 @@ def true_shade(seen: Seen, hulls: Sequence[shapely.Polygon]) -> Truth:
 
 @dataclass(frozen=True)
 class OnGround:
-    """Figures of ``shadows.truth.metrics`` on level ground, and what they see of its shadow.
+    """Figures of ``skugga.shadows.truth.metrics`` on level ground, and what they see of its shadow.
 
     ``displaced`` is how many pixels are wrong, as a share of those over which the texels of a map displace the shadow's edges: by a
     quarter of a texel's side in the mean, times the edges' length. Texels of over ``MOST_TEXEL_PX`` excuse no more than such.

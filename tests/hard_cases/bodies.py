@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 from scipy.ndimage import binary_erosion
 
-from shadows.truth.metrics import Errors, SeenShadow, errors_of, far_inside, sight_of
-from shadows.truth.truth import Truth
-from terrain.gbuffer.resolve import RELIEF
+from skugga.shadows.truth.metrics import Errors, SeenShadow, errors_of, far_inside, sight_of
+from skugga.shadows.truth.truth import Truth
+from skugga.terrain.gbuffer.resolve import RELIEF
 from tests.hard_cases.cases import Seen
 from tests.shadows.boxes import box
 

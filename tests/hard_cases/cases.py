@@ -20,24 +20,24 @@ import numpy as np
 import pytest
 import trimesh
 
-from selector.measure.footprint import texel_footprint_px
-from selector.planner.planner import make_plan
-from shadows.attached import attached
-from shadows.passes import PassLog
-from shadows.plan import Plan
-from shadows.registry import ALGORITHMS
-from shadows.truth.metrics import LEAST_SIGHT, Errors, SeenShadow, errors_of, far_inside, sight_of
-from shadows.truth.truth import Truth, truth_of
-from shadows.visibility import fill_steps
-from terrain.casters.reach import Casters, casters_of
-from terrain.describe import describe
-from terrain.errors import UnsupportedError
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.selector.measure.footprint import texel_footprint_px
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.attached import attached
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import ALGORITHMS
+from skugga.shadows.truth.metrics import LEAST_SIGHT, Errors, SeenShadow, errors_of, far_inside, sight_of
+from skugga.shadows.truth.truth import Truth, truth_of
+from skugga.shadows.visibility import fill_steps
+from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
 
 SHADOWING = ("shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep")
@@ -86,7 +86,7 @@ class Seen:
 
     @cached_property
     def errors(self) -> Errors:
-        """Every figure of ``shadows.truth.metrics`` against truth."""
+        """Every figure of ``skugga.shadows.truth.metrics`` against truth."""
         return errors_of(self.visibility, self.truth, self.pixel_m, self.texels_px)
 
     @cached_property

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.scene import Scene
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View
 
 UTM = "EPSG:32633"

@@ -11,11 +11,11 @@ import numpy as np
 from pyproj import Geod, Transformer
 from scipy.optimize import brentq
 
-from shadows.algorithm import AlgorithmSettings
-from shadows.attached import attached
-from shadows.passes import PassLog
-from shadows.visibility import fill_steps
-from terrain.scene import Scene
+from skugga.shadows.algorithm import AlgorithmSettings
+from skugga.shadows.attached import attached
+from skugga.shadows.passes import PassLog
+from skugga.shadows.visibility import fill_steps
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View
 from tests.rasters import ENGINEERING
 

@@ -32,14 +32,14 @@ class Mutant:
 
 
 def _no_snapping() -> None:
-    from shadows.maps import windows as map_windows
+    from skugga.shadows.maps import windows as map_windows
 
     window = map_windows._window
     map_windows._window = lambda low, high, texel, border, stable: window(low, high, texel, border, False)
 
 
 def _float32_world() -> None:
-    from terrain.geo.world import World
+    from skugga.terrain.geo.world import World
 
     ground = World.ground
     World.ground = lambda self, crs, x, y: ground(self, crs, _rounded(x), _rounded(y))  # type: ignore[method-assign]
@@ -50,13 +50,13 @@ def _rounded(values: Any) -> np.ndarray:
 
 
 def _z_pass_always() -> None:
-    from shadows.volumes import drawing as volume_drawing
+    from skugga.shadows.volumes import drawing as volume_drawing
 
     volume_drawing.may_shade_near = lambda low, high, rectangle, light: np.zeros(len(low), bool)
 
 
 def _constant_bias() -> None:
-    from shadows.maps import filling
+    from skugga.shadows.maps import filling
 
     look_up = filling.look_up
 
@@ -67,7 +67,7 @@ def _constant_bias() -> None:
 
 
 def _near_plane() -> None:
-    from shadows.maps import post_perspective
+    from skugga.shadows.maps import post_perspective
 
     matrix, rank = post_perspective.camera_matrix, count()
     post_perspective.camera_matrix = lambda camera, tangent, near_m, far_m, slide_m: matrix(camera, tangent, 1e-6, far_m, 0.0)
@@ -77,7 +77,7 @@ def _near_plane() -> None:
 
 def _flat_earth() -> None:
     """The plane that touches the earth where far shadows end."""
-    from terrain.geo import world
+    from skugga.terrain.geo import world
     from tests.hard_cases.landscapes import MERIDIAN_DEG, TIP_DEG
 
     exact = world.geocentric
@@ -95,7 +95,7 @@ def _flat_earth() -> None:
 
 
 def _mirrored_azimuth() -> None:
-    from terrain import scene
+    from skugga.terrain import scene
 
     sun_of = scene.sun_of
 
@@ -108,16 +108,16 @@ def _mirrored_azimuth() -> None:
 
 
 def _one_diagonal() -> None:
-    from terrain.ground import sheet
+    from skugga.terrain.ground import sheet
 
     sheet.cuts_of = lambda height: np.zeros((height.shape[0] - 1, height.shape[1] - 1), bool)
 
 
 def _first_facet() -> None:
     """A point that several facets share goes by the first that is found, whatever the light."""
-    from shadows import attached
-    from shadows.truth import truth
-    from terrain.gbuffer.shared_points import FacingNormals
+    from skugga.shadows import attached
+    from skugga.shadows.truth import truth
+    from skugga.terrain.gbuffer.shared_points import FacingNormals
 
     def facing_normals(buffer: Any, light: Any) -> FacingNormals:
         nowhere = np.zeros(buffer.there.shape, bool)
@@ -131,19 +131,19 @@ def _first_facet() -> None:
 
 
 def _facets_at_the_terminator() -> None:
-    from terrain.gbuffer import shared_points
+    from skugga.terrain.gbuffer import shared_points
 
     shared_points._go_by_smooth = lambda *_: None
 
 
 def _chords_shade_the_bulge() -> None:
-    from shadows import visibility
+    from skugga.shadows import visibility
 
     visibility.on_smooth_ground = lambda buffer, light: buffer
 
 
 def _own_points() -> None:
-    from shadows import render
+    from skugga.shadows import render
 
     render.coarse_pixels = lambda scene, view, plan: None  # type: ignore[assignment]
 

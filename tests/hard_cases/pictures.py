@@ -15,9 +15,9 @@ import numpy as np
 import trimesh
 from PIL import Image, ImageDraw, ImageFont
 
-from terrain.geo.grid import MapView
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 from tests.hard_cases.blocks import block, flat
 from tests.hard_cases.bodies import FLOOR, eye
 from tests.hard_cases.cases import Trial, View

@@ -13,21 +13,21 @@ from itertools import product
 
 import numpy as np
 
-from shadows.attached import attached
-from shadows.maps.perspective_shadow_map import perspective_maps
-from shadows.maps.settings import PerspectiveMapSettings, ShadowMapSettings
-from shadows.maps.sun_disc import DISC_TAPS
-from shadows.maps.windows import sun_maps
-from shadows.plan import Step
-from shadows.truth.metrics import SeenShadow, sight_of
-from shadows.truth.truth import ALL_KINDS, ray_scene
-from shadows.visibility import receivers_of
-from terrain.casters.casting import caster_trees
-from terrain.describe import describe
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.shared_points import facing_normals
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
+from skugga.shadows.attached import attached
+from skugga.shadows.maps.perspective_shadow_map import perspective_maps
+from skugga.shadows.maps.settings import PerspectiveMapSettings, ShadowMapSettings
+from skugga.shadows.maps.sun_disc import DISC_TAPS
+from skugga.shadows.maps.windows import sun_maps
+from skugga.shadows.plan import Step
+from skugga.shadows.truth.metrics import SeenShadow, sight_of
+from skugga.shadows.truth.truth import ALL_KINDS, ray_scene
+from skugga.shadows.visibility import receivers_of
+from skugga.terrain.casters.casting import caster_trees
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
 from tests.hard_cases.cases import Seen
 
 STENCIL_PX = 2.0 / 256.0

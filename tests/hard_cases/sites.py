@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from scipy.ndimage import gaussian_filter
 
-from terrain.scene import Scene
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View
 from tests.rasters import ENGINEERING
 

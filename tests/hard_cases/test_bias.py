@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 import trimesh
 
-from selector.measure.footprint import texel_footprint_px
-from terrain.describe import describe
-from terrain.gbuffer.resolve import RELIEF
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.selector.measure.footprint import texel_footprint_px
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.hard_cases.landscapes import Change, changed, normal_of, tilted_plane, views_of
 from tests.rasters import ENGINEERING

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from terrain.level.level import SUN
+from skugga.terrain.level.level import SUN
 from tests.hard_cases.bodies import (
     FLOOR,
     SPOT,

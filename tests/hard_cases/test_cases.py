@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from shadows.truth.metrics import SeenShadow
+from skugga.shadows.truth.metrics import SeenShadow
 from tests.hard_cases.cases import Case, Trial, short_as_known, told, untested
 from tests.hard_cases.table import rows
 

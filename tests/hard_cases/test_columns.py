@@ -10,11 +10,11 @@ import pytest
 import rasterio
 
 from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
-from shadows.attached import attached
-from shadows.truth.metrics import SeenShadow
-from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from terrain.casters.reach import casters_of
-from terrain.gbuffer.picture import geometry_of
+from skugga.shadows.attached import attached
+from skugga.shadows.truth.metrics import SeenShadow
+from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer.picture import geometry_of
 from tests.hard_cases.cases import SHADOWING, Trial, hard_case
 from tests.hard_cases.test_every_side import grounds
 from tests.rasters import ENGINEERING

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from shadows.algorithm import AlgorithmSettings
-from shadows.maps.drawing import draw_map
-from shadows.maps.resolve import DEPTH_PX
-from shadows.maps.settings import ShadowMapSettings
-from shadows.maps.windows import DepthMap, depth_steps, distances, sun_maps
-from shadows.passes import PassRecord
-from shadows.truth.metrics import MOST_INTERIOR
-from terrain.describe import describe
-from terrain.gl.device import device
-from terrain.scene import Scene
+from skugga.shadows.algorithm import AlgorithmSettings
+from skugga.shadows.maps.drawing import draw_map
+from skugga.shadows.maps.resolve import DEPTH_PX
+from skugga.shadows.maps.settings import ShadowMapSettings
+from skugga.shadows.maps.windows import DepthMap, depth_steps, distances, sun_maps
+from skugga.shadows.passes import PassRecord
+from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.terrain.describe import describe
+from skugga.terrain.gl.device import device
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.hard_cases.landscapes import Change, changed, views_of
 from tests.hard_cases.reach_of_error import beyond, beyond_sight

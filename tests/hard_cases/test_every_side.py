@@ -8,13 +8,13 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from benchmarks.symmetry import SIDES, azimuth_of, moved, moved_back
-from shadows.attached import attached
-from shadows.truth.metrics import SeenShadow
-from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from terrain.casters.reach import casters_of
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.grid import MapView
-from terrain.level.parts import SunSpec
+from skugga.shadows.attached import attached
+from skugga.shadows.truth.metrics import SeenShadow
+from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.parts import SunSpec
 from tests.hard_cases.cases import SHADOWING, Trial, hard_case
 from tests.hard_cases.test_sweep_azimuths import hills
 from tests.rasters import ENGINEERING

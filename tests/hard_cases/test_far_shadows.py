@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shadows.maps.windows import distances
-from shadows.truth.metrics import sight_of
-from terrain.casters.reach import longest_shadow_m
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import MESHES
-from terrain.gbuffer.shared_points import facing_normals
-from terrain.level.parts import SunSpec
-from terrain.lights import light_position
-from terrain.scene import Scene
+from skugga.shadows.maps.windows import distances
+from skugga.shadows.truth.metrics import sight_of
+from skugga.terrain.casters.reach import longest_shadow_m
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import MESHES
+from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.lights import light_position
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Trial, hard_case
 from tests.hard_cases.landscapes import FarPeak, far_peak, views_of
 from tests.render import render

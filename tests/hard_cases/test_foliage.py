@@ -12,19 +12,19 @@ import pyogrio
 import shapely
 from scipy.ndimage import gaussian_filter
 
-from shadows import planar
-from shadows.maps import drawing as map_drawing
-from shadows.truth.metrics import block_shares, coverage_error
-from shadows.truth.truth import coverage_truth
-from terrain.casters import rays
-from terrain.casters.reach import casters_of
-from terrain.gbuffer import id_buffer, tree_instances
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import RELIEF
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.gl.device import device
-from terrain.scene import Scene
-from terrain.trees.foliage import TEXTURE_PX, THRESHOLD, TREE_VARIANTS, Foliage, coverage_mips
+from skugga.shadows import planar
+from skugga.shadows.maps import drawing as map_drawing
+from skugga.shadows.truth.metrics import block_shares, coverage_error
+from skugga.shadows.truth.truth import coverage_truth
+from skugga.terrain.casters import rays
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer import id_buffer, tree_instances
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.gl.device import device
+from skugga.terrain.scene import Scene
+from skugga.terrain.trees.foliage import TEXTURE_PX, THRESHOLD, TREE_VARIANTS, Foliage, coverage_mips
 from tests.hard_cases.blocks import UP
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.metrics import flicker

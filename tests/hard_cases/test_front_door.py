@@ -20,11 +20,11 @@ import trimesh
 from affine import Affine
 from PIL import Image
 
-from api.cli import main as cli
-from api.http.app import create_app
-from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
-from api.settings import Settings
-from terrain.errors import printable
+from skugga.api.cli import main as cli
+from skugga.api.http.app import create_app
+from skugga.api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.settings import Settings
+from skugga.terrain.errors import printable
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
 from tests.rasters import ENGINEERING, write_geotiff
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from shadows.attached import attached
-from shadows.passes import PassLog
-from shadows.plan import Step
-from shadows.visibility import fill_steps
-from terrain.casters.reach import casters_of
-from terrain.gbuffer.picture import geometry_of
-from terrain.scene import Scene
+from skugga.shadows.attached import attached
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Step
+from skugga.shadows.visibility import fill_steps
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.scene import Scene
 from tests.hard_cases.bodies import FLOOR, SPOT, eye, joined, not_a_number, soup
 from tests.hard_cases.cases import Trial, View, hard_case
 from tests.shadows.boxes import box

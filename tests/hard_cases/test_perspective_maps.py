@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from shadows.truth.metrics import sight_of
-from terrain.geo.camera import PerspectiveView
-from terrain.scene import Scene
+from skugga.shadows.truth.metrics import sight_of
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.scene import Scene
 from tests.hard_cases.blocks import OnGround, axis_off, block, camera, figures_on_ground, flat, shade, towards, true_shade
 from tests.hard_cases.cases import Seen, Trial, hard_case
 

@@ -10,16 +10,16 @@ import numpy as np
 from pyproj import Transformer
 from scipy.spatial import ConvexHull
 
-from selector.measure.footprint import texel_footprint_px
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.geo.grid import Grid, MapView
-from terrain.geo.sun import apparent_position
-from terrain.geo.world import WGS84
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.selector.measure.footprint import texel_footprint_px
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.geo.grid import Grid, MapView
+from skugga.terrain.geo.sun import apparent_position
+from skugga.terrain.geo.world import WGS84
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View, hard_case
 
 MAST_M = 100.0

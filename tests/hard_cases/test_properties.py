@@ -16,13 +16,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from shadows.attached import attached
-from shadows.maps.perspective_shadow_map import perspective_maps
-from shadows.maps.settings import PerspectiveMapSettings
-from terrain.errors import UnsupportedError
-from terrain.geo.camera import PerspectiveView
-from terrain.level.level import SUN
-from terrain.scene import Scene
+from skugga.shadows.attached import attached
+from skugga.shadows.maps.perspective_shadow_map import perspective_maps
+from skugga.shadows.maps.settings import PerspectiveMapSettings
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.level.level import SUN
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View, hard_case
 from tests.hard_cases.reach_of_error import beyond, beyond_sight
 from tests.rasters import ENGINEERING

@@ -9,11 +9,11 @@ import pytest
 import rasterio
 from affine import Affine
 
-from shadows.truth.metrics import sight_of
-from terrain.errors import SourceError
-from terrain.geo.world import geocentric, geodetic
-from terrain.ground.elevation import Elevation
-from terrain.level.parts import SunSpec
+from skugga.shadows.truth.metrics import sight_of
+from skugga.terrain.errors import SourceError
+from skugga.terrain.geo.world import geocentric, geodetic
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.level.parts import SunSpec
 from tests.hard_cases.cases import ENGINE, SHADOWING, Trial, hard_case
 from tests.hard_cases.ground import CORNER_M, UTM, places, share, whole
 from tests.rasters import ENGINEERING

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terrain.cache import clear_caches
+from skugga.terrain.cache import clear_caches
 from tests.hard_cases.cases import ENGINE, RECORD, SHADOWING, Case, Trial, failures, hard_case
 from tests.hard_cases.sites import site, views_of
 
@@ -29,7 +29,7 @@ def pictures(algorithm: str, folder: Path, px: int) -> list[np.ndarray]:
 def pictures_elsewhere(algorithm: str, folder: Path, px: int, **environment: str) -> tuple[str, list[np.ndarray]]:
     """The same from a process of its own, and the name of its renderer."""
     code = (
-        "import sys; import numpy as np; from pathlib import Path; from terrain.gl.device import device;"
+        "import sys; import numpy as np; from pathlib import Path; from skugga.terrain.gl.device import device;"
         "from tests.hard_cases.test_repeatable import pictures;"
         "algorithm, folder, px = sys.argv[1:]; found = pictures(algorithm, Path(folder), int(px));"
         "np.savez(Path(folder) / 'pictures.npz', *found); print(device().renderer)"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from selector.measure.footprint import texel_footprint_px
-from shadows.truth.metrics import sight_of
-from terrain.describe import describe
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.selector.measure.footprint import texel_footprint_px
+from skugga.shadows.truth.metrics import sight_of
+from skugga.terrain.describe import describe
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.hard_cases.ground import close, places, share, whole
 from tests.rasters import ENGINEERING

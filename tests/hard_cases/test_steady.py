@@ -6,24 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from selector.planner.planner import make_plan
-from shadows.attached import attached
-from shadows.maps import perspective_shadow_map
-from shadows.maps.drawing import draw_map
-from shadows.maps.lookup import look_up
-from shadows.maps.resolve import EXTENT_STEP
-from shadows.maps.settings import ShadowMapSettings
-from shadows.maps.windows import MAP_BORDER_TEXELS, sun_maps
-from shadows.passes import PassRecord
-from shadows.plan import Step
-from terrain.casters.reach import casters_of
-from terrain.describe import describe
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.gl.device import device
-from terrain.scene import Scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.attached import attached
+from skugga.shadows.maps import perspective_shadow_map
+from skugga.shadows.maps.drawing import draw_map
+from skugga.shadows.maps.lookup import look_up
+from skugga.shadows.maps.resolve import EXTENT_STEP
+from skugga.shadows.maps.settings import ShadowMapSettings
+from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, sun_maps
+from skugga.shadows.passes import PassRecord
+from skugga.shadows.plan import Step
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.gl.device import device
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.hard_cases.sites import site
 from tests.metrics import flicker

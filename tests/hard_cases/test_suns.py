@@ -7,13 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from shadows.truth.metrics import MOST_INTERIOR, sight_of
-from terrain.errors import InputError, LevelError
-from terrain.geo.sun import sun_of
-from terrain.geo.sun_path import YEARS
-from terrain.geo.world import LONGITUDE_LATITUDE, World
-from terrain.level.level import load_level, parse_sun
-from terrain.level.parts import SunSpec
+from skugga.shadows.truth.metrics import MOST_INTERIOR, sight_of
+from skugga.terrain.errors import InputError, LevelError
+from skugga.terrain.geo.sun import sun_of
+from skugga.terrain.geo.sun_path import YEARS
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World
+from skugga.terrain.level.level import load_level, parse_sun
+from skugga.terrain.level.parts import SunSpec
 from tests.hard_cases.cases import Trial, hard_case
 from tests.hard_cases.ground import places, share, whole
 from tests.hard_cases.test_sweep_azimuths import hills

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from shadows.truth.metrics import edge_sight, errors_of, far_inside, sight_of
-from terrain.geo.grid import MapView
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.shadows.truth.metrics import edge_sight, errors_of, far_inside, sight_of
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Trial, View, hard_case
 from tests.hard_cases.ground import CORNER_M, UTM, share, whole
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from morecantile import tms as matrix_sets
 
-from shadows.truth.metrics import edge_distances, edge_sight
-from terrain.gbuffer.picture import frame_of
-from terrain.geo.grid import MapView, tile_grid
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.shadows.truth.metrics import edge_distances, edge_sight
+from skugga.terrain.gbuffer.picture import frame_of
+from skugga.terrain.geo.grid import MapView, tile_grid
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.hard_cases.cases import Seen, Trial, hard_case
 from tests.render import block_at
 

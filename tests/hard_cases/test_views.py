@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terrain.errors import InputError
-from terrain.geo.camera import PerspectiveView
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.camera import PerspectiveView
 from tests.hard_cases.bodies import FLOOR, errors, eye, interior_sight, joined, not_a_number
 from tests.hard_cases.cases import ENGINE, SHADOWING, Seen, Trial, hard_case
 from tests.render import render

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from shadows.truth.metrics import sight_of
-from shadows.volumes.views import near_plane_m
-from terrain.gbuffer.resolve import RELIEF
+from skugga.shadows.truth.metrics import sight_of
+from skugga.shadows.volumes.views import near_plane_m
+from skugga.terrain.gbuffer.resolve import RELIEF
 from tests.hard_cases.bodies import (
     EYES,
     FLOOR,

@@ -8,11 +8,11 @@ import numpy as np
 import shapely
 import trimesh
 
-from shadows.truth.metrics import sight_of
-from shadows.truth.truth import Truth
-from terrain.gbuffer.resolve import RELIEF
-from terrain.geo.grid import MapView
-from terrain.scene import Scene
+from skugga.shadows.truth.metrics import sight_of
+from skugga.shadows.truth.truth import Truth
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.scene import Scene
 from tests.hard_cases.blocks import block, flat, shade, shaded
 from tests.hard_cases.cases import Seen, Trial, hard_case
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.gbuffer.shared_points import facing_normals
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import Seen, Trial, View, hard_case
 from tests.hard_cases.sites import differing, site, views_of
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from selector.planner.planner import make_plan
-from shadows import render
-from shadows.passes import PassLog
-from terrain.describe import describe
-from terrain.geo.grid import MapView
-from terrain.scene import Scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows import render
+from skugga.shadows.passes import PassLog
+from skugga.terrain.describe import describe
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.scene import Scene
 from tests.hard_cases.cases import SHADOWING, Trial, hard_case
 
 PIXEL_M = 64.0

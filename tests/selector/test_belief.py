@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.belief import LOGISTIC_SD, Belief, SharedVariance
+from skugga.selector.belief import LOGISTIC_SD, Belief, SharedVariance
 
 HALF = SharedVariance(view=0.5, family=0.25)
 

@@ -17,20 +17,20 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector import replanning
-from selector.choices import Choice
-from selector.cost.device_profile import DeviceProfile
-from selector.planner.planner import make_plan
-from selector.replanning import MOST_CHANGED, PATIENCE, Replanner, casting, mixed_pictures, next_share
-from selector.select import select
-from shadows.plan import Plan, Predicted
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.facts.descriptor import Descriptor
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.ground.generated_ground import ENGINEERING
-from terrain.level.level import SUN, Level, Pin, SunSpec, load_level
-from terrain.scene import Scene, build_scene
+from skugga.selector import replanning
+from skugga.selector.choices import Choice
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.planner.planner import make_plan
+from skugga.selector.replanning import MOST_CHANGED, PATIENCE, Replanner, casting, mixed_pictures, next_share
+from skugga.selector.select import select
+from skugga.shadows.plan import Plan, Predicted
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.ground.generated_ground import ENGINEERING
+from skugga.terrain.level.level import SUN, Level, Pin, SunSpec, load_level
+from skugga.terrain.scene import Scene, build_scene
 
 Place = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Where a camera stands, and what it looks at: metres east, north and above the ground."""

@@ -15,23 +15,23 @@ import pyogrio
 import pytest
 import shapely
 
-from api.cli import main as cli
-from api.http.app import create_app
-from api.settings import Settings
-from selector.candidates import MAX_CANDIDATES, candidates
-from selector.planner.planner import make_plan
-from shadows.algorithm import ExtentKind, GroundKind, RayKind, Requirement, ViewKind
-from shadows.registry import ALGORITHMS, algorithms_serving
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.errors import UnsupportedError
-from terrain.facts.descriptor import LightKind
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.ground.generated_ground import ENGINEERING
-from terrain.level.algorithm_names import AlgorithmName
-from terrain.level.level import CasterKind, load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.cli import main as cli
+from skugga.api.http.app import create_app
+from skugga.api.settings import Settings
+from skugga.selector.candidates import MAX_CANDIDATES, candidates
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.algorithm import ExtentKind, GroundKind, RayKind, Requirement, ViewKind
+from skugga.shadows.registry import ALGORITHMS, algorithms_serving
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.facts.descriptor import LightKind
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.generated_ground import ENGINEERING
+from skugga.terrain.level.algorithm_names import AlgorithmName
+from skugga.terrain.level.level import CasterKind, load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.api.conftest import running
 from tests.render import block_at, plan_of
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.expected_loss import LIKELY_MISS_CHANCE, MISS_PENALTY, Forecast, least_expected_loss
-from selector.ranking import CandidateFigures
+from skugga.selector.expected_loss import LIKELY_MISS_CHANCE, MISS_PENALTY, Forecast, least_expected_loss
+from skugga.selector.ranking import CandidateFigures
 
 TIME_SPREAD = 0.2
 

@@ -10,21 +10,21 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from selector import film
-from selector.film import FilmFrame, film_frames, frame_moments
-from selector.film_request import FilmRequest, FilmSpan
-from selector.planner.planner import make_plan
-from selector.replanning import MOST_CHANGED, PATIENCE, Replanner
-from shadows.ground_pictures import shown_color
-from shadows.plan import Plan, Predicted
-from shadows.render import render_frame
-from terrain.errors import InputError
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.level.camera_file import CameraPathSpec
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.selector import film
+from skugga.selector.film import FilmFrame, film_frames, frame_moments
+from skugga.selector.film_request import FilmRequest, FilmSpan
+from skugga.selector.planner.planner import make_plan
+from skugga.selector.replanning import MOST_CHANGED, PATIENCE, Replanner
+from skugga.shadows.ground_pictures import shown_color
+from skugga.shadows.plan import Plan, Predicted
+from skugga.shadows.render import render_frame
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.camera_file import CameraPathSpec
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 
 NOON = datetime.fromisoformat("2024-06-21T12:00:00-04:00")
 SIZE = 96, 80

@@ -7,9 +7,9 @@ from math import atan, degrees, hypot
 
 import pytest
 
-from selector import kept_probes
-from selector.kept_probes import load_probes, probes_folder, save_probes
-from selector.map_probes import BETWEEN_BLOCKS_ERROR, BETWEEN_BLOCKS_TIME, MapClass, MapProbes, ProbedClass, map_class
+from skugga.selector import kept_probes
+from skugga.selector.kept_probes import load_probes, probes_folder, save_probes
+from skugga.selector.map_probes import BETWEEN_BLOCKS_ERROR, BETWEEN_BLOCKS_TIME, MapClass, MapProbes, ProbedClass, map_class
 from tests.api.workers.fake_probes import seen
 
 

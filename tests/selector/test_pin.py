@@ -12,14 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from selector.choices import Choice, StandaloneRequest
-from selector.pin import PIN_COMMENT, pin, pinned, pinned_text, pins
-from selector.planner.planner import make_plan
-from terrain.describe import describe
-from terrain.errors import InputError, LevelError
-from terrain.level.level import load_level, override
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.selector.choices import Choice, StandaloneRequest
+from skugga.selector.pin import PIN_COMMENT, pin, pinned, pinned_text, pins
+from skugga.selector.planner.planner import make_plan
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import InputError, LevelError
+from skugga.terrain.level.level import load_level, override
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 
 WHY = ["Pinned by skugga select on 2026-11-22: view map.", "sun/relief: sweep, for it is exact."]
 CHOSEN = {"algorithm": {"relief": "sweep", "forest": "shadow_map"}, "map_size": 2048}
@@ -267,7 +267,7 @@ def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("selector.pin.os.replace", full)
+    monkeypatch.setattr("skugga.selector.pin.os.replace", full)
     with pytest.raises(LevelError, match="No space left"):
         pin(path, CHOSEN, WHY)
     assert path.read_text(encoding="utf-8") == HEAD and os.listdir(tmp_path) == ["level.yaml"]

@@ -10,20 +10,20 @@ from typing import Any
 
 import pytest
 
-from selector import predict
-from selector.belief import SharedVariance
-from selector.choices import StandaloneRequest
-from selector.cost.device_profile import DeviceProfile
-from selector.cost.error_model import ErrorModel, HillCurve, SharedErrors, error_groups
-from selector.formatting import format_duration, format_percent
-from selector.options import PredictedChoice, predicted_choices
-from selector.planner.planner import Planner, make_plan, planner_of
-from selector.predict import predicted_plan
-from shadows.plan import Plan
-from terrain.errors import UnsupportedError
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
-from terrain.level.level import SUN, Shadows
+from skugga.selector import predict
+from skugga.selector.belief import SharedVariance
+from skugga.selector.choices import StandaloneRequest
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.cost.error_model import ErrorModel, HillCurve, SharedErrors, error_groups
+from skugga.selector.formatting import format_duration, format_percent
+from skugga.selector.options import PredictedChoice, predicted_choices
+from skugga.selector.planner.planner import Planner, make_plan, planner_of
+from skugga.selector.predict import predicted_plan
+from skugga.shadows.plan import Plan
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
+from skugga.terrain.level.level import SUN, Shadows
 
 TABLE = Path(__file__).resolve().parents[2] / "benchmarks" / "selection" / "selection.jsonl"
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.ranking import TIME_TIE_RATIO, CandidateFigures, best, relative_overshoot
-from shadows.truth.metrics import MOST_INTERIOR
+from skugga.selector.ranking import TIME_TIE_RATIO, CandidateFigures, best, relative_overshoot
+from skugga.shadows.truth.metrics import MOST_INTERIOR
 
 SMALL = CandidateFigures("small map", 10.0, 0.05, 0.0)
 MIDDLE = CandidateFigures("middle map", 20.0, 0.02, 0.0)

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.planner.planner import make_plan
-from selector.replanning import (
+from skugga.selector.planner.planner import make_plan
+from skugga.selector.replanning import (
     LONGEST,
     MOST_CHANGED,
     PATIENCE,
@@ -24,12 +24,12 @@ from selector.replanning import (
     mixed_pictures,
     transition_frames,
 )  # fmt: skip
-from shadows.plan import Plan, Predicted
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.facts.descriptor import Descriptor
-from terrain.level.level import Level, SunSpec, load_level
-from terrain.scene import Scene, build_scene
+from skugga.shadows.plan import Plan, Predicted
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.level import Level, SunSpec, load_level
+from skugga.terrain.scene import Scene, build_scene
 
 EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [160, 128]}
 PLAIN = {

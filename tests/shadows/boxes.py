@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from shadows.attached import attached
-from shadows.maps import shadow_map
-from shadows.passes import PassLog
-from shadows.visibility import receivers_of
-from terrain.casters.reach import casters_of
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.shadows.attached import attached
+from skugga.shadows.maps import shadow_map
+from skugga.shadows.passes import PassLog
+from skugga.shadows.visibility import receivers_of
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.render import plan_of
 
 View = MapView | PerspectiveView

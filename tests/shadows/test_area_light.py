@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from api.catalogue import find_level
-from shadows.area_light import ball_points, disc_points
-from shadows.attached import attached
-from shadows.executed_effects import executed_effects
-from shadows.penumbra import MAX_POINTS
-from shadows.render import render_frame
-from shadows.truth.metrics import soft_error
-from shadows.truth.truth import ALL_KINDS, area_visibility, ray_scene
-from terrain.casters.reach import casters_of
-from terrain.errors import UnsupportedError
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.shadows.area_light import ball_points, disc_points
+from skugga.shadows.attached import attached
+from skugga.shadows.executed_effects import executed_effects
+from skugga.shadows.penumbra import MAX_POINTS
+from skugga.shadows.render import render_frame
+from skugga.shadows.truth.metrics import soft_error
+from skugga.shadows.truth.truth import ALL_KINDS, area_visibility, ray_scene
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.render import plan_of
 from tests.shadows.boxes import View, box, level_of
 

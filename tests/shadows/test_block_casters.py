@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from morecantile import tms as matrix_sets
 
-from configs import LEVELS_FOLDER
-from shadows.block_casters import NOTHING_CASTS, NOTHING_OUTSIDE
-from shadows.executed_effects import executed_effects
-from shadows.ground_pictures import shown_map
-from shadows.render import Frame, render_frame
-from terrain.cache import clear_caches
-from terrain.casters.slopes import extent_on_grid
-from terrain.geo.grid import MapView, tile_grid
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.configs import LEVELS_FOLDER
+from skugga.shadows.block_casters import NOTHING_CASTS, NOTHING_OUTSIDE
+from skugga.shadows.executed_effects import executed_effects
+from skugga.shadows.ground_pictures import shown_map
+from skugga.shadows.render import Frame, render_frame
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.casters.slopes import extent_on_grid
+from skugga.terrain.geo.grid import MapView, tile_grid
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.params import quick
 from tests.render import plan_of
 
@@ -42,8 +42,8 @@ SUNS = (4.0, 50.0, 12.0, 65.0, 25.0, 38.0)
 def everything_on(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """No block goes without anything that its plan lists."""
     with monkeypatch.context() as patch:
-        patch.setattr("shadows.block_casters.idle_patches", lambda *of: frozenset())
-        patch.setattr("shadows.block_casters.own_ground_is_clear", lambda *of: False)
+        patch.setattr("skugga.shadows.block_casters.idle_patches", lambda *of: frozenset())
+        patch.setattr("skugga.shadows.block_casters.own_ground_is_clear", lambda *of: False)
         clear_caches("light")
         yield
 

@@ -10,16 +10,16 @@ import pyogrio
 import pytest
 import shapely
 
-from shadows.passes import PassLog
-from shadows.plan import Plan
-from shadows.truth.truth import truth_of
-from terrain.casters.reach import casters_of
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
-from terrain.ground.generated_ground import ENGINEERING
-from terrain.level.level import SUN, SunSpec, load_level
-from terrain.scene import Scene, build_scene
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.truth.truth import truth_of
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from skugga.terrain.ground.generated_ground import ENGINEERING
+from skugga.terrain.level.level import SUN, SunSpec, load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.render import plan_of, render_points
 
 KINDS = ("relief", "meshes", "forest")

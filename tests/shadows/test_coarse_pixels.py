@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from morecantile import tms
 
-from shadows.coarse_pixels import _of_points, coarse_pixels, lit_nodes
-from shadows.passes import PassLog
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.gbuffer.covered_nodes import covered_nodes, halvings, largest_in_pixels, means_in_pixels, pieces_grid
-from terrain.geo.grid import Grid, MapView, tile_grid
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.shadows.coarse_pixels import _of_points, coarse_pixels, lit_nodes
+from skugga.shadows.passes import PassLog
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.covered_nodes import covered_nodes, halvings, largest_in_pixels, means_in_pixels, pieces_grid
+from skugga.terrain.geo.grid import Grid, MapView, tile_grid
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 from tests.render import block_at, plan_of, render
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from morecantile import tms as matrix_sets
 
-from shadows import ground_pictures
-from shadows.ground_pictures import _ground_alone, _ground_picture, needs_no_gl, shown_color, shown_map
-from shadows.render import render_frame
-from terrain.casters.slopes import extent_on_grid
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.grid import BLOCK_PX, MapView, tile_grid
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.shadows import ground_pictures
+from skugga.shadows.ground_pictures import _ground_alone, _ground_picture, needs_no_gl, shown_color, shown_map
+from skugga.shadows.render import render_frame
+from skugga.terrain.casters.slopes import extent_on_grid
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, tile_grid
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 from tests.params import quick
 from tests.render import plan_of
 

@@ -10,11 +10,11 @@ import pytest
 from pyproj import CRS
 from scipy.spatial import ConvexHull
 
-from terrain.casters.reach import longest_shadow_m, reach_of
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.grid import MapView
-from terrain.geo.world import LONGITUDE_LATITUDE, transformer
-from terrain.scene import Scene
+from skugga.terrain.casters.reach import longest_shadow_m, reach_of
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
+from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render_points, shadow
 

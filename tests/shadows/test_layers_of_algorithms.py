@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from api.layers import LAYERS, PASS_LAYERS, frame_layer, viewable, write_layer
-from shadows import layer_collector
-from shadows.layer_collector import LayerCollector, tiled_pictures
-from shadows.passes import PassLog
-from shadows.registry import ALGORITHMS
-from shadows.render import Frame, render_frame
-from terrain.cache import clear_caches
-from terrain.errors import InputError, UnsupportedError
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView, map_view
-from terrain.gl.device import Device
-from terrain.level.level import SUN, load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.layers import LAYERS, PASS_LAYERS, frame_layer, viewable, write_layer
+from skugga.shadows import layer_collector
+from skugga.shadows.layer_collector import LayerCollector, tiled_pictures
+from skugga.shadows.passes import PassLog
+from skugga.shadows.registry import ALGORITHMS
+from skugga.shadows.render import Frame, render_frame
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.errors import InputError, UnsupportedError
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView, map_view
+from skugga.terrain.gl.device import Device
+from skugga.terrain.level.level import SUN, load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.render import plan_of, render
 
 SPOT = {"kind": "spot", "position": [-20, 10, 25], "target": [0, 0, 0], "cutoff": 40}
@@ -141,7 +141,7 @@ def test_a_sun_s_map_has_the_light_s_up_above(gl, build):
 
 
 def test_the_blocks_of_a_map_lie_side_by_side(gl, scene, monkeypatch):
-    monkeypatch.setattr("terrain.geo.grid.BLOCK_PX", 32)
+    monkeypatch.setattr("skugga.terrain.geo.grid.BLOCK_PX", 32)
     view = scene.view(bounds=(-20, -20, 20, 20), size=(50, 60))
     overrides = {"sun": "planar", "spot": "shadow_map", "omni": "none"}
     frame = with_layers(scene, "shadow-map", "stencil", view=view, algorithm=overrides, map_size=64)
@@ -284,7 +284,7 @@ def test_every_layer_is_made_in_one_way_and_every_layer_of_an_algorithm_is_known
     ],
 )
 def test_a_layer_that_nothing_leaves_is_refused_before_anything_is_drawn(scene, algorithm, layer, words, monkeypatch):
-    monkeypatch.setattr("shadows.render._render_block", None)
+    monkeypatch.setattr("skugga.shadows.render._render_block", None)
     with pytest.raises(UnsupportedError) as caught:
         with_layers(scene, layer, algorithm=algorithm)
     assert layer in str(caught.value) and words in str(caught.value) and "\n" not in str(caught.value)

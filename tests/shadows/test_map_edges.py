@@ -9,16 +9,16 @@ import pytest
 import trimesh
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from api.layers import frame_layer
-from shadows import map_edges
-from shadows.map_edges import edge_pixels
-from shadows.maps import lookup
-from shadows.render import Frame, render_frame
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import MESHES
-from terrain.geo.grid import MapView
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.api.layers import frame_layer
+from skugga.shadows import map_edges
+from skugga.shadows.map_edges import edge_pixels
+from skugga.shadows.maps import lookup
+from skugga.shadows.render import Frame, render_frame
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import MESHES
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 

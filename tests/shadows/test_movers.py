@@ -15,15 +15,15 @@ import pytest
 import shapely
 import trimesh
 
-from shadows.point.horizon import sun_reaches, surroundings
-from shadows.point.place import place_at
-from shadows.render import Frame
-from terrain.describe import describe
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.grid import MapView
-from terrain.level.level import SUN, load_level
-from terrain.scene import Scene, build_scene
+from skugga.shadows.point.horizon import sun_reaches, surroundings
+from skugga.shadows.point.place import place_at
+from skugga.shadows.render import Frame
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import SUN, load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.render import render, render_points
 
 MARGIN_M = 0.35

@@ -15,14 +15,14 @@ import pyogrio
 import pytest
 import shapely
 
-from shadows.passes import PassLog, PassRecord
-from shadows.plan import Plan
-from shadows.render import Frame, render_frame
-from terrain.cache import MIB, Cache, clear_caches
-from terrain.gl import device as gl_module
-from terrain.gl.programs import Linked, note_draw
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.shadows.passes import PassLog, PassRecord
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import Frame, render_frame
+from skugga.terrain.cache import MIB, Cache, clear_caches
+from skugga.terrain.gl import device as gl_module
+from skugga.terrain.gl.programs import Linked, note_draw
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
 

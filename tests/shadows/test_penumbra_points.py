@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from shadows import algorithm, penumbra
-from shadows.algorithm import is_area
-from shadows.penumbra import MAX_POINTS, light_points, penumbra_px
-from terrain.describe import describe
-from terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting, LampFacts, LightFacts
-from terrain.level.level import Shadows
+from skugga.shadows import algorithm, penumbra
+from skugga.shadows.algorithm import is_area
+from skugga.shadows.penumbra import MAX_POINTS, light_points, penumbra_px
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, Casting, LampFacts, LightFacts
+from skugga.terrain.level.level import Shadows
 from tests.render import plan_of
 from tests.shadows.test_area_light import LAMPS, MOST_SOFT_ERROR, figure, seen
 

@@ -14,20 +14,20 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shadows import planar
-from shadows.attached import attached
-from shadows.passes import PassLog
-from shadows.planar import clip_from_plane, onto_plane
-from shadows.render import render_frame
-from shadows.truth.truth import TruthSettings, truth_of
-from shadows.truth.truth import fill as truth_fill
-from terrain.casters.reach import NO_CASTERS, casters_of
-from terrain.gbuffer.antialias import multisampled
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
-from terrain.ground.generated_ground import ENGINEERING
-from terrain.level.level import SUN, load_level
-from terrain.scene import Scene, build_scene
+from skugga.shadows import planar
+from skugga.shadows.attached import attached
+from skugga.shadows.passes import PassLog
+from skugga.shadows.planar import clip_from_plane, onto_plane
+from skugga.shadows.render import render_frame
+from skugga.shadows.truth.truth import TruthSettings, truth_of
+from skugga.shadows.truth.truth import fill as truth_fill
+from skugga.terrain.casters.reach import NO_CASTERS, casters_of
+from skugga.terrain.gbuffer.antialias import multisampled
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from skugga.terrain.ground.generated_ground import ENGINEERING
+from skugga.terrain.level.level import SUN, load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.render import plan_of, render, render_points
 
 Build = Callable[..., Scene]

@@ -17,20 +17,20 @@ from affine import Affine
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from selector.planner.planner import make_plan
-from shadows.attached import attached
-from shadows.passes import PassLog
-from shadows.plan import Plan
-from shadows.render import render_frame
-from shadows.truth.metrics import LEAST_SIGHT, MOST_INTERIOR, block_shares, coverage_error, errors_of
-from shadows.truth.truth import TruthSettings, coverage_truth, fill, truth_of
-from terrain.casters.reach import casters_of
-from terrain.describe import describe
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
-from terrain.level.level import SUN, load_level
-from terrain.scene import Scene, build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.attached import attached
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import render_frame
+from skugga.shadows.truth.metrics import LEAST_SIGHT, MOST_INTERIOR, block_shares, coverage_error, errors_of
+from skugga.shadows.truth.truth import TruthSettings, coverage_truth, fill, truth_of
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from skugga.terrain.level.level import SUN, load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render, render_points
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from api.layers import frame_layer, viewable
-from shadows.render import render_frame
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.api.layers import frame_layer, viewable
+from skugga.shadows.render import render_frame
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 from tests import golden
 from tests.golden import assert_golden
 from tests.render import block_at, plan_of, render

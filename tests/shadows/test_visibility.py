@@ -7,13 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from shadows.passes import PassLog
-from shadows.visibility import fill_steps, with_apparent_sun, without_hidden_points
-from terrain.casters.reach import casters_of
-from terrain.gbuffer.picture import geometry_of
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.shadows.passes import PassLog
+from skugga.shadows.visibility import fill_steps, with_apparent_sun, without_hidden_points
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.render import plan_of
 
 EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [240, 192]}

@@ -51,7 +51,7 @@ KNOWN = {200, 304, 429, 503, 504}
 def service(folder: Path, **environment: str) -> Iterator[tuple[int, subprocess.Popen[str], Path]]:
     """A service of hills in a process of its own, ready: its port, its process and its log."""
     level, log = write_level(folder, "hills"), folder / "log"
-    command = [sys.executable, "-c", "from api.cli.main import main; main()", "serve", str(level), "--port", "0"]
+    command = [sys.executable, "-c", "from skugga.api.cli.main import main; main()", "serve", str(level), "--port", "0"]
     settings = {"SKUGGA_WORKERS": str(WORKERS), "SKUGGA_NEW_SUNS_PER_MINUTE": "0", **environment}
     with log.open("w") as said:
         process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **settings}, stderr=said, text=True)

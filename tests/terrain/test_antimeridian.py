@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terrain.errors import InputError
+from skugga.terrain.errors import InputError
 
 CELL = 0.6 / 240
 
@@ -30,8 +30,8 @@ def test_its_map_lies_in_its_utm_zone_and_holds_all_of_it(write_raster, make_sce
 
 
 def test_it_is_shaded_as_the_same_ground_is_elsewhere(write_raster, make_scene):
-    from selector.select import plan_of_view
-    from shadows.render import render_frame
+    from skugga.selector.select import plan_of_view
+    from skugga.shadows.render import render_frame
 
     shares = []
     for lon in (180.0, 6.0):  # both between two zones

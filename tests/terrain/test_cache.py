@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrain.cache import MISSING, Cache, bytes_of, cached, caches, clear_caches, clear_scene_caches
+from skugga.terrain.cache import MISSING, Cache, bytes_of, cached, caches, clear_caches, clear_scene_caches
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -174,13 +174,13 @@ def test_other_ways_of_keeping_are_noticed(source):
 
 def test_what_no_python_object_shows_is_counted_too():
     """Files in memory, PROJ's transformations and Embree's trees."""
-    from terrain.casters.rays import TRIANGLE_BYTES, RayScene
-    from terrain.geo.world import LONGITUDE_LATITUDE, transformer
-    from terrain.level.bundled import BUNDLED
+    from skugga.terrain.casters.rays import TRIANGLE_BYTES, RayScene
+    from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
+    from skugga.terrain.level.bundled import BUNDLED
 
     file = BUNDLED["jacksboro"]()
     held = {cache.name: cache.nbytes for cache in caches("process")}
-    assert held["terrain.level.bundled._jacksboro"] == len(file) > 100_000
+    assert held["skugga.terrain.level.bundled._jacksboro"] == len(file) > 100_000
     transformer(LONGITUDE_LATITUDE, LONGITUDE_LATITUDE)
     assert transformer.cache.nbytes >= 2**16
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

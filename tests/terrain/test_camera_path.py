@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrain.camera_path import CameraPath, camera_path
-from terrain.errors import InputError
-from terrain.level.camera_file import CameraPathSpec
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.terrain.camera_path import CameraPath, camera_path
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.camera_file import CameraPathSpec
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 
 ROWS, COLS = 24, 32
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from morecantile import tms as matrix_sets
 
-from shadows.ground_pictures import _ground_picture, needs_no_gl
-from shadows.render import render_frame
-from terrain.casters.slopes import extent_on_grid
-from terrain.climate import ARID, ICE, LATITUDES, TUNDRA, climate_srgb, ramp_srgb, snow_line_m
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.grid import MapView, tile_grid
-from terrain.level.parts import StyleSpec
-from terrain.shading import albedo_of
-from terrain.style import STYLES, tint_table
+from skugga.shadows.ground_pictures import _ground_picture, needs_no_gl
+from skugga.shadows.render import render_frame
+from skugga.terrain.casters.slopes import extent_on_grid
+from skugga.terrain.climate import ARID, ICE, LATITUDES, TUNDRA, climate_srgb, ramp_srgb, snow_line_m
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.grid import MapView, tile_grid
+from skugga.terrain.level.parts import StyleSpec
+from skugga.terrain.shading import albedo_of
+from skugga.terrain.style import STYLES, tint_table
 from tests.render import plan_of
 
 OWN = STYLES["natural"].ramp

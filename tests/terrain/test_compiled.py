@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terrain import compiled as compiled_module
-from terrain.compiled import in_shares, on_cores
+from skugga.terrain import compiled as compiled_module
+from skugga.terrain.compiled import in_shares, on_cores
 
 
 @pytest.mark.parametrize("cores", [1, 2, 5])

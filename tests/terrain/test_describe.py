@@ -15,15 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from selector.choices import StandaloneRequest
-from selector.planner.planner import make_plan
-from terrain.describe import describe
-from terrain.facts.coarse_view import nearest_triangles
-from terrain.facts.descriptor import Descriptor
-from terrain.gbuffer.picture import geometry_of
-from terrain.level.level import Shadows, load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.selector.choices import StandaloneRequest
+from skugga.selector.planner.planner import make_plan
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.coarse_view import nearest_triangles
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.level.level import Shadows, load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = ROOT / "configs"
@@ -145,7 +145,7 @@ def test_the_example_of_the_page_is_valid():
 
 
 def test_the_page_names_every_field():
-    from terrain.facts.fact_types import CastBand, CasterFacts, Casting, LampFacts, LightFacts
+    from skugga.terrain.facts.fact_types import CastBand, CasterFacts, Casting, LampFacts, LightFacts
 
     text = (ROOT / "docs" / "descriptor.md").read_text(encoding="utf-8")
     models = (Descriptor, CasterFacts, LightFacts, Casting, CastBand, LampFacts)
@@ -169,7 +169,8 @@ def test_a_descriptor_is_the_same_from_json_and_in_every_process(level, view):
     text = describe(scene, scene.view(view), view).model_dump_json()
     assert Descriptor.model_validate_json(text).model_dump_json() == text
     script = (
-        "from terrain.describe import describe; from terrain.level.level import load_level; from terrain.scene import build_scene\n"
+        "from skugga.terrain.describe import describe\nfrom skugga.terrain.level.level import load_level\n"
+        "from skugga.terrain.scene import build_scene\n"
         f"scene = build_scene(load_level({str(CONFIGS / f'{level}.yaml')!r}))\n"
         f"print(describe(scene, scene.view({view!r}), {view!r}).model_dump_json())"
     )

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from terrain.compiled import compiled
-from terrain.interpolation import bilinear, smoothstep
-from terrain.interpolation_loops import blend_corners, cell_before, lerp_corners, smoothstep_of
+from skugga.terrain.compiled import compiled
+from skugga.terrain.interpolation import bilinear, smoothstep
+from skugga.terrain.interpolation_loops import blend_corners, cell_before, lerp_corners, smoothstep_of
 
 
 @compiled

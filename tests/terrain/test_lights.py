@@ -11,17 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from api.layers import frame_layer
-from shadows.attached import attached
-from terrain.effects.effect import ShadingBlock
-from terrain.effects.lamps import apply_lamps
-from terrain.errors import InputError, LevelError
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.world import geocentric
-from terrain.level.level import SUN, parse_algorithm
-from terrain.lights import CONE_EDGE, axes_along
-from terrain.scene import Scene
-from terrain.shading import LEVEL_ALBEDO, LEVEL_GROUND, shade
+from skugga.api.layers import frame_layer
+from skugga.shadows.attached import attached
+from skugga.terrain.effects.effect import ShadingBlock
+from skugga.terrain.effects.lamps import apply_lamps
+from skugga.terrain.errors import InputError, LevelError
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.world import geocentric
+from skugga.terrain.level.level import SUN, parse_algorithm
+from skugga.terrain.lights import CONE_EDGE, axes_along
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import LEVEL_ALBEDO, LEVEL_GROUND, shade
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 

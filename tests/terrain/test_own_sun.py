@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terrain.geo.sun_path import sun_path
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.terrain.geo.sun_path import sun_path
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 
 CELL_M, CELLS = 30.0, 64

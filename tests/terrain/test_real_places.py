@@ -12,13 +12,13 @@ import pytest
 import rasterio
 import shapely
 
-from configs import LEVELS_FOLDER
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
-from terrain.trees.canopy_sample import TREE_HEIGHT_M
+from skugga.configs import LEVELS_FOLDER
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
+from skugga.terrain.trees.canopy_sample import TREE_HEIGHT_M
 
 CITY = "urban/goteborg_1m"
 ROOF_M = 0.2

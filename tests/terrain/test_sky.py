@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.shading import srgb_encoded
-from terrain.sky import (
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.shading import srgb_encoded
+from skugga.terrain.sky import (
     SKY_HORIZON,
     SKY_ZENITH,
     gradient_noise,
@@ -21,7 +21,7 @@ from terrain.sky import (
     sky_of,
     sunward,
 )
-from terrain.srgb import srgb_of_linear
+from skugga.terrain.srgb import srgb_of_linear
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -7,14 +7,14 @@ import json
 import numpy as np
 import pytest
 
-from shadows.render import render_frame
-from terrain.errors import InputError, LevelError
-from terrain.gbuffer.picture import geometry_of
-from terrain.scene import Scene
-from terrain.shading import LEVEL_GROUND, SKY_SHARE, shade
-from terrain.shading_loops import LEAST_SKY, SHOULDER, _on_slope, _sky_on_slope, _towards_sun, luminance_of, shoulder
-from terrain.srgb import linear_of_srgb
-from terrain.style import STYLES, TINT_LOW_M, TINT_STEP_M, tint_table
+from skugga.shadows.render import render_frame
+from skugga.terrain.errors import InputError, LevelError
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import LEVEL_GROUND, SKY_SHARE, shade
+from skugga.terrain.shading_loops import LEAST_SKY, SHOULDER, _on_slope, _sky_on_slope, _towards_sun, luminance_of, shoulder
+from skugga.terrain.srgb import linear_of_srgb
+from skugga.terrain.style import STYLES, TINT_LOW_M, TINT_STEP_M, tint_table
 from tests.render import plan_of
 
 UTM = "EPSG:32633"

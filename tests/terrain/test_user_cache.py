@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from terrain.user_cache import user_cache
+from skugga.terrain.user_cache import user_cache
 
 
 def test_a_user_without_a_home_has_a_cache_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch):

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terrain.geo.camera import PerspectiveView
-from terrain.geo.world import WGS84
-from terrain.ground.elevation import Elevation
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
-from terrain.scene import Scene, build_scene
-from terrain.viewpoint import good_view
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.world import WGS84
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.scene import Scene, build_scene
+from skugga.terrain.viewpoint import good_view
 from tests.rasters import ENGINEERING, write_geotiff
 
 CELL_M = 30.0

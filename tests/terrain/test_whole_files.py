@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from terrain.whole_files import forget_halves, replaced_together, replaced_whole, write_whole
+from skugga.terrain.whole_files import forget_halves, replaced_together, replaced_whole, write_whole
 
 
 def names(folder):
@@ -55,8 +55,8 @@ def test_writing_nothing_is_an_error(tmp_path):
 def test_what_is_synced_before_it_takes_its_place(tmp_path, monkeypatch):
     order = []
     fsync, replace = os.fsync, os.replace
-    monkeypatch.setattr("terrain.whole_files.os.fsync", lambda number: (order.append("sync"), fsync(number)))
-    monkeypatch.setattr("terrain.whole_files.os.replace", lambda a, b: (order.append("replace"), replace(a, b)))
+    monkeypatch.setattr("skugga.terrain.whole_files.os.fsync", lambda number: (order.append("sync"), fsync(number)))
+    monkeypatch.setattr("skugga.terrain.whole_files.os.replace", lambda a, b: (order.append("replace"), replace(a, b)))
     write_whole(tmp_path / "a.bin", b"new")
     assert order == ["sync", "replace", "sync"]
 
@@ -156,7 +156,7 @@ def test_what_ends_the_moving_of_files_moves_them_back(tmp_path, call, monkeypat
             raise KeyboardInterrupt
         replace(source, target)
 
-    monkeypatch.setattr("terrain.whole_files.os.replace", interrupted)
+    monkeypatch.setattr("skugga.terrain.whole_files.os.replace", interrupted)
     if call < 6:
         with pytest.raises(KeyboardInterrupt):
             write_three(folder, b"new")
@@ -182,7 +182,7 @@ def test_a_disk_that_fills_up_while_files_are_written(tmp_path, full_disk):
 
 
 def test_this_module_needs_nothing_but_the_standard_library():
-    code = "import sys, terrain.whole_files; print('numpy' in sys.modules or 'rasterio' in sys.modules)"
+    code = "import sys, skugga.terrain.whole_files; print('numpy' in sys.modules or 'rasterio' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 
@@ -233,7 +233,7 @@ def writing_modules():
 
 def test_files_are_written_in_one_place():
     found = set(writing_modules())
-    assert found == set(TEMPORARY), "terrain.whole_files writes files"
+    assert found == set(TEMPORARY), "skugga.terrain.whole_files writes files"
 
 
 def test_what_a_killed_writer_left_is_deleted(tmp_path: Path):

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import typer
 
-from api.cli.common_options import JsonOption
-from api.cli.progress import ProgressBar
+from skugga.api.cli.common_options import JsonOption
+from skugga.api.cli.progress import ProgressBar
 
 
 def calibrate(as_json: JsonOption = False) -> None:
     """Calibrate this device for the policy `predict`."""
-    from api.device_calibration import format_calibration
-    from selector.cost.calibration import calibrate as measure
-    from selector.cost.device_profile import save_profile
+    from skugga.api.device_calibration import format_calibration
+    from skugga.selector.cost.calibration import calibrate as measure
+    from skugga.selector.cost.device_profile import save_profile
 
     with ProgressBar("Calibrating") as advance:
         profile = measure(advance)

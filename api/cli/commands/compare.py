@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.cli.common_options import (
+from skugga.api.cli.common_options import (
     AltitudeOption,
     AzimuthOption,
     BoundsOption,
@@ -19,13 +19,13 @@ from api.cli.common_options import (
     read_bounds,
     read_size,
 )
-from api.cli.level_argument import takes_level
-from api.cli.progress import ProgressBar
-from api.cli.same_command import same_command
-from terrain.whole_files import write_whole
+from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.progress import ProgressBar
+from skugga.api.cli.same_command import same_command
+from skugga.terrain.whole_files import write_whole
 
 if TYPE_CHECKING:
-    from terrain.level.level_source import LevelSource
+    from skugga.terrain.level.level_source import LevelSource
 
 
 @takes_level
@@ -53,12 +53,12 @@ def compare(
     ] = None,
 ) -> None:
     """Compare algorithms and settings with ray-traced truth: error against time."""
-    from api.cli.outputs import check_targets
-    from api.cli.snapshot import scene_and_view
-    from api.report.comparison import check_outputs, show, write
-    from selector.measure.compare import TIME_LIMIT_S
-    from selector.measure.compare import compare as measure
-    from terrain.level.level import parse_sun
+    from skugga.api.cli.outputs import check_targets
+    from skugga.api.cli.snapshot import scene_and_view
+    from skugga.api.report.comparison import check_outputs, show, write
+    from skugga.selector.measure.compare import TIME_LIMIT_S
+    from skugga.selector.measure.compare import compare as measure
+    from skugga.terrain.level.level import parse_sun
 
     sun, shape = parse_sun(time, azimuth, altitude), read_size(size)
     check_outputs(output, json_file)

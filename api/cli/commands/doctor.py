@@ -6,12 +6,12 @@ import json
 
 import typer
 
-from api.cli.common_options import JsonOption
+from skugga.api.cli.common_options import JsonOption
 
 
 def doctor(as_json: JsonOption = False) -> None:
     """Check OpenGL and packages of this machine, and name what is missing."""
-    from api.cli.doctor import examine
+    from skugga.api.cli.doctor import examine
 
     findings = examine()
     if as_json:

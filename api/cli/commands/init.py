@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.cli.level_argument import takes_level
-from terrain.errors import printable
+from skugga.api.cli.level_argument import takes_level
+from skugga.terrain.errors import printable
 
 if TYPE_CHECKING:
-    from terrain.level.level_source import LevelSource
+    from skugga.terrain.level.level_source import LevelSource
 
 
 @takes_level
@@ -21,7 +21,7 @@ def init(
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
 ) -> None:
     """Write the level file of a raster, with views, and with comments on what else it may say."""
-    from api.cli.first_level import write_first_level
+    from skugga.api.cli.first_level import write_first_level
 
     path = write_first_level(level, output, force)
     typer.echo(printable(f"Wrote {path}. To see it: skugga serve {path}"))

@@ -6,14 +6,14 @@ import json
 
 import typer
 
-from api.cli.common_options import JsonOption
-from api.cli.tables import named_table, wide_console
+from skugga.api.cli.common_options import JsonOption
+from skugga.api.cli.tables import named_table, wide_console
 
 
 def levels(as_json: JsonOption = False) -> None:
     """List the bundled levels."""
-    from api.catalogue import bundled_levels
-    from api.level_summary import summary
+    from skugga.api.catalogue import bundled_levels
+    from skugga.api.level_summary import summary
 
     rows = [summary(path) for path in bundled_levels()]
     if as_json:

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from api.cli.level_argument import PositiveOption, UnitsOption
-from api.cli.progress import ProgressBar
-from terrain.errors import printable
+from skugga.api.cli.level_argument import PositiveOption, UnitsOption
+from skugga.api.cli.progress import ProgressBar
+from skugga.terrain.errors import printable
 
 
 def raster_overviews(
@@ -19,8 +19,8 @@ def raster_overviews(
     positive: PositiveOption = None,
 ) -> None:
     """Make overviews of a big raster beside it, in RASTER.ovr; the raster itself is only read."""
-    from api.overviews import make_overviews, missing_overviews
-    from terrain.level.level_source import direction_named, units_named
+    from skugga.api.overviews import make_overviews, missing_overviews
+    from skugga.terrain.level.level_source import direction_named, units_named
 
     stated = units_named("--units", units), direction_named("--positive", positive)
     if (why_none := missing_overviews(raster)) is not None:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.cli.common_options import JsonOption, TimeOption
-from api.cli.completion import complete_words
-from api.cli.level_argument import takes_level
-from api.point.horizon_formats import HORIZON_FORMATS
+from skugga.api.cli.common_options import JsonOption, TimeOption
+from skugga.api.cli.completion import complete_words
+from skugga.api.cli.level_argument import takes_level
+from skugga.api.point.horizon_formats import HORIZON_FORMATS
 
 if TYPE_CHECKING:
-    from terrain.level.level_source import LevelSource
+    from skugga.terrain.level.level_source import LevelSource
 
 
 @takes_level
@@ -46,8 +46,8 @@ def sun_at_point(
     as_json: JsonOption = False,
 ) -> None:
     """The sun at a point: lit or not and by what, a day's sun, the horizon."""
-    from api.cli.point import PointOptions, check_point_options, report_line, report_point, report_points
-    from terrain.level.level import parse_sun
+    from skugga.api.cli.point import PointOptions, check_point_options, report_line, report_point, report_points
+    from skugga.terrain.level.level import parse_sun
 
     sun = parse_sun(time, None, None)
     asked = PointOptions(at, crs, sun, date, clock, height, year, horizon, output, picture, as_json)

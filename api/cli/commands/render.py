@@ -8,7 +8,7 @@ from typing import Annotated, Any, get_args
 
 import typer
 
-from api.cli.common_options import (
+from skugga.api.cli.common_options import (
     AltitudeOption,
     AzimuthOption,
     BoundsOption,
@@ -20,17 +20,17 @@ from api.cli.common_options import (
     read_bounds,
     read_size,
 )
-from api.cli.completion import complete_words
-from api.cli.level_argument import takes_level
-from api.cli.options import overrides_of, with_shadow_options
-from api.cli.outputs import check_targets
-from api.cli.progress import ProgressBar
-from api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
-from terrain.errors import InputError
-from terrain.level.level import parse_sun
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import StyleName
-from terrain.whole_files import write_whole
+from skugga.api.cli.completion import complete_words
+from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.options import overrides_of, with_shadow_options
+from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.progress import ProgressBar
+from skugga.api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.level import parse_sun
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import StyleName
+from skugga.terrain.whole_files import write_whole
 
 _FRAME_LAYERS = [name for name in LAYERS if name not in PASS_LAYERS]
 _LayerOption = Annotated[
@@ -92,8 +92,8 @@ def render(
     **asked: Any,
 ) -> None:
     """Render one snapshot of a level's view into a file; or a film, under a sun or along a path that moves."""
-    from api.cli.film import FilmOptions, render_film
-    from api.cli.snapshot import Appearance, snapshot, statistics
+    from skugga.api.cli.film import FilmOptions, render_film
+    from skugga.api.cli.snapshot import Appearance, snapshot, statistics
 
     film = FilmOptions(start, end, step, path, fps, lossless)
     if film.given:

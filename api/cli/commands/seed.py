@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.completion import complete_words
-from api.cli.level_argument import takes_level
-from api.cli.options import with_shadow_options
-from api.seed.messages import LEAST_LIMIT_S
-from terrain.level.level_source import LevelSource
+from skugga.api.cli.completion import complete_words
+from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.options import with_shadow_options
+from skugga.api.seed.messages import LEAST_LIMIT_S
+from skugga.terrain.level.level_source import LevelSource
 
 _LAYERS = "color", "shadow", "mask", "terrain-rgb", "terrarium"
 
@@ -79,7 +79,7 @@ def seed(
     """Draw a level's tiles ahead, into an archive (PMTiles) or a folder. What was drawn is kept: the same command goes on, and
     draws what has changed.
     """
-    from api.cli.seeding import SeedOptions, seed_level
+    from skugga.api.cli.seeding import SeedOptions, seed_level
 
     options = SeedOptions(
         output, zooms, layer, format, time, times, start, end, step, azimuth, altitude, workers, scheduler, work, shards, dry_run,

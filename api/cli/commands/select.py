@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
-from api.cli.common_options import (
+from skugga.api.cli.common_options import (
     AltitudeOption,
     AzimuthOption,
     BoundsOption,
@@ -22,19 +22,19 @@ from api.cli.common_options import (
     read_bounds,
     read_size,
 )
-from api.cli.completion import complete_words
-from api.cli.level_argument import takes_level
-from api.cli.options import overrides_of, with_shadow_options
-from api.cli.outputs import check_targets
-from api.cli.progress import spinner
-from selector.choices import PolicyName
-from terrain.level.level import parse_sun
-from terrain.level.level_source import LevelSource
+from skugga.api.cli.completion import complete_words
+from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.options import overrides_of, with_shadow_options
+from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.progress import spinner
+from skugga.selector.choices import PolicyName
+from skugga.terrain.level.level import parse_sun
+from skugga.terrain.level.level_source import LevelSource
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from terrain.level.parts import SunSpec
+    from skugga.terrain.level.parts import SunSpec
 
 
 @takes_level
@@ -77,13 +77,13 @@ def select(
     **asked: Any,
 ) -> None:
     """Choose algorithms and settings for a view, and say why; or for all views of a level."""
-    from api.cli.planning import pin_plan, plan_level_view, write_descriptor
-    from api.report.plan_text import format_plan
+    from skugga.api.cli.planning import pin_plan, plan_level_view, write_descriptor
+    from skugga.api.report.plan_text import format_plan
 
     check_targets(level, [("--descriptor", descriptor)])
     overrides = overrides_of("select", asked)
     if all_views or all_scales:
-        from api.cli.all_views import refuse_beside
+        from skugga.api.cli.all_views import refuse_beside
 
         option = "--all-views" if all_views else "--all-scales"
         refuse_beside(option, view, {"size": size, "bounds": bounds, "crs": crs, "descriptor": descriptor})
@@ -115,7 +115,7 @@ def _select_all(
     as_json: bool,
     write: bool,
 ) -> None:
-    from api.cli.all_views import pin_all, plan_all_views, rows_of, table_of
+    from skugga.api.cli.all_views import pin_all, plan_all_views, rows_of, table_of
 
     with spinner("Choosing for all views"):
         choices = plan_all_views(level, policy, overrides, sun, seconds, ignore_pins=write, budget=budget)
@@ -138,7 +138,7 @@ def _print_choices(rows: list[dict[str, Any]], table: Table, as_json: bool, mess
 def _probe_all_scales(
     level: LevelSource, policy: str, overrides: dict[str, Any], sun: SunSpec | None, budget: str | None, as_json: bool, write: bool
 ) -> None:
-    from api.cli.all_scales import probe_all_scales, rows_of_scales, table_of_scales
+    from skugga.api.cli.all_scales import probe_all_scales, rows_of_scales, table_of_scales
 
     with spinner("Probing at all scales"):
         plans, message = probe_all_scales(level, policy, overrides, sun, budget, write)

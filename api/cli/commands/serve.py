@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.cli.level_argument import takes_level
-from terrain.errors import InputError
-from terrain.level.gdal_guard import forbid_remote_reads
+from skugga.api.cli.level_argument import takes_level
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.gdal_guard import forbid_remote_reads
 
 if TYPE_CHECKING:
-    from terrain.level.level_source import LevelSource
+    from skugga.terrain.level.level_source import LevelSource
 
 
 @takes_level
@@ -29,12 +29,12 @@ def serve(
     workers: Annotated[int | None, typer.Option(help="Render processes.", min=1)] = None,
 ) -> None:
     """Serve levels as map tiles over HTTP, with a viewer on /; and archives of tiles (.pmtiles) as they are."""
-    from api.catalogue import ARCHIVE_SUFFIX, bundled_levels
-    from api.settings import load_settings
-    from api.workers.spawned import Spawned
-    from api.workers.worker_config import first_config
-    from api.workers.worker_main import worker_main
-    from terrain.level.level_source import LevelSource
+    from skugga.api.catalogue import ARCHIVE_SUFFIX, bundled_levels
+    from skugga.api.settings import load_settings
+    from skugga.api.workers.spawned import Spawned
+    from skugga.api.workers.worker_config import first_config
+    from skugga.api.workers.worker_main import worker_main
+    from skugga.terrain.level.level_source import LevelSource
 
     options = {"host": host, "port": port, "workers": workers, "levels": folder}
     settings = load_settings(**{key: value for key, value in options.items() if value is not None})
@@ -54,7 +54,7 @@ def serve(
         with suppress(OSError):  # one is started again later, as whenever that fails
             spawned = Spawned(worker_main, first_config(settings))
             spawned.start()  # before the imports of this process, which take as long as its own
-    from api.http.server import serve as run
+    from skugga.api.http.server import serve as run
 
     try:
         run(settings, drawn, [each.path for each in archives], spawned)

@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from api.cli.common_options import AltitudeOption, AzimuthOption, BoundsOption, CrsOption, TimeOption, read_bounds
-from api.cli.completion import complete_words
-from api.cli.level_argument import takes_level
-from api.cli.options import overrides_of, with_shadow_options
-from api.cli.outputs import check_targets
-from api.cli.progress import ProgressBar
-from api.cli.times import suns_of
-from api.shade_layers import SHADE_LAYERS
-from terrain.level.level import parse_sun
-from terrain.level.level_source import LevelSource
+from skugga.api.cli.common_options import AltitudeOption, AzimuthOption, BoundsOption, CrsOption, TimeOption, read_bounds
+from skugga.api.cli.completion import complete_words
+from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.options import overrides_of, with_shadow_options
+from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.progress import ProgressBar
+from skugga.api.cli.times import suns_of
+from skugga.api.shade_layers import SHADE_LAYERS
+from skugga.terrain.level.level import parse_sun
+from skugga.terrain.level.level_source import LevelSource
 
 if TYPE_CHECKING:
-    from api.raster_file import RasterCells
+    from skugga.api.raster_file import RasterCells
 
 
 @takes_level
@@ -48,7 +48,7 @@ def shade_raster(
     **asked: Any,
 ) -> None:
     """Write the shade of a raster of any size, by default on its own grid."""
-    from api.cli.shading import scene_of_item, shade_level
+    from skugga.api.cli.shading import scene_of_item, shade_level
 
     overrides = overrides_of("render", asked)
     cells: Path | RasterCells | None = like

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from api.cli.common_options import BoundsOption, CrsOption, read_bounds
-from api.cli.completion import complete_words
-from api.cli.level_argument import takes_level
-from api.cli.progress import ProgressBar
-from api.sun_quantities import QUANTITIES
+from skugga.api.cli.common_options import BoundsOption, CrsOption, read_bounds
+from skugga.api.cli.completion import complete_words
+from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.progress import ProgressBar
+from skugga.api.sun_quantities import QUANTITIES
 
 if TYPE_CHECKING:
-    from terrain.level.level_source import LevelSource
+    from skugga.terrain.level.level_source import LevelSource
 
 
 @takes_level
@@ -50,7 +50,7 @@ def sun_hours_raster(
     levels: Annotated[str, typer.Option(metavar="V,V,...", help="Values of the contours.")] = "1,2,3,4,6,8,10,12",
 ) -> None:
     """Write hours of sun, first or last sun of a raster of any size, over dates and daily windows."""
-    from api.cli.sunning import rules_of, write_sun_level
+    from skugga.api.cli.sunning import rules_of, write_sun_level
 
     rules = rules_of(step, threshold, least_altitude, height)
     lines = None if contours is None else (contours, levels)

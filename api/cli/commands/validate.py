@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from api.cli.level_argument import takes_level
-from terrain.errors import printable
+from skugga.api.cli.level_argument import takes_level
+from skugga.terrain.errors import printable
 
 if TYPE_CHECKING:
-    from terrain.level.level_source import LevelSource
+    from skugga.terrain.level.level_source import LevelSource
 
 
 @takes_level
 def validate(level: LevelSource) -> None:
     """Check a level file and the data it names."""
-    from api.level_summary import remarks
-    from terrain.level.level import load_level
+    from skugga.api.level_summary import remarks
+    from skugga.terrain.level.level import load_level
 
     loaded, notes = load_level(level), remarks(level)
     typer.echo(printable(f"{level.path}: right. {loaded.level.title or loaded.name}; views: {', '.join(loaded.level.views)}"))

@@ -1,3 +1,3 @@
-"""The parts of the page that ``api.report.report`` writes: markup, plots and pictures; its template, style and script beside
+"""The parts of the page that ``skugga.api.report.report`` writes: markup, plots and pictures; its template, style and script beside
 them.
 """

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from html import escape
 from math import floor, log10
 
-from api.report.page.marks import COLOURS, stage_colours
-from api.report.page.markup import tag
-from api.report.page.scales import round_time
-from api.report.summary import RowFigures
-from selector.formatting import format_duration
+from skugga.api.report.page.marks import COLOURS, stage_colours
+from skugga.api.report.page.markup import tag
+from skugga.api.report.page.scales import round_time
+from skugga.api.report.summary import RowFigures
+from skugga.selector.formatting import format_duration
 
 BARS_WIDTH, BAR_STEP, BARS_TOP, BAR = 1180.0, 21.0, 26.0, 14.0
 NAME_PX, BAR_CHARACTER_PX, BOLD_PX, TIME_PX = 130.0, 7.4, 8.3, 78.0

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 from math import cos, pi, sin
 
-from api.report.page.markup import tag
-from shadows.algorithm import Mark, MarkColour
-from shadows.registry import ALGORITHMS, FALLBACK
+from skugga.api.report.page.markup import tag
+from skugga.shadows.algorithm import Mark, MarkColour
+from skugga.shadows.registry import ALGORITHMS, FALLBACK
 
 COLOURS: dict[MarkColour, str] = {
     "blue": "#0072b2", "vermilion": "#d55e00", "green": "#009e73", "purple": "#b8558f", "orange": "#e69f00", "sky": "#56b4e9",

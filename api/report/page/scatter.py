@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
 
-from api.report.page.marks import drawn, mark_of
-from api.report.page.markup import tag
-from api.report.page.scales import Scale, round_time, scale_of
-from api.report.summary import FLOORS, RowFigures, algorithm_family, casts, on_front
-from selector.formatting import format_duration, format_percent
-from selector.measure.compare import Comparison
-from shadows.registry import ALGORITHMS, NO_SHADOWS
+from skugga.api.report.page.marks import drawn, mark_of
+from skugga.api.report.page.markup import tag
+from skugga.api.report.page.scales import Scale, round_time, scale_of
+from skugga.api.report.summary import FLOORS, RowFigures, algorithm_family, casts, on_front
+from skugga.selector.formatting import format_duration, format_percent
+from skugga.selector.measure.compare import Comparison
+from skugga.shadows.registry import ALGORITHMS, NO_SHADOWS
 
 SCATTER_WIDTH, SCATTER_HEIGHT = 860.0, 540.0
 MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 84.0, 16.0, 14.0, 56.0

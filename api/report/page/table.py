@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from api.report.page.bars import stages_of
-from api.report.page.markup import breakable, definitions, tag
-from api.report.page.scatter import swatch
-from api.report.summary import RowFigures, algorithm_family
-from selector.formatting import format_duration
-from selector.measure.compare import Comparison
+from skugga.api.report.page.bars import stages_of
+from skugga.api.report.page.markup import breakable, definitions, tag
+from skugga.api.report.page.scatter import swatch
+from skugga.api.report.summary import RowFigures, algorithm_family
+from skugga.selector.formatting import format_duration
+from skugga.selector.measure.compare import Comparison
 
 
 @dataclass(frozen=True)

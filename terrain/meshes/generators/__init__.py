@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from terrain.meshes.body import Body
-from terrain.meshes.generators.boxgrid import boxgrid
-from terrain.meshes.generators.landmarks import tetrahedra, wood_hill
-from terrain.meshes.generators.rocks import rocks
-from terrain.meshes.generators.room import room
-from terrain.meshes.generators.street import street
-from terrain.meshes.generators.water_tower import water_tower
+from skugga.terrain.meshes.body import Body
+from skugga.terrain.meshes.generators.boxgrid import boxgrid
+from skugga.terrain.meshes.generators.landmarks import tetrahedra, wood_hill
+from skugga.terrain.meshes.generators.rocks import rocks
+from skugga.terrain.meshes.generators.room import room
+from skugga.terrain.meshes.generators.street import street
+from skugga.terrain.meshes.generators.water_tower import water_tower
 
 GENERATORS: dict[str, Callable[[], list[Body]]] = {
     "boxgrid": boxgrid,

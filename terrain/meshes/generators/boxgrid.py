@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from itertools import product
 
-from terrain.meshes.body import Body
-from terrain.meshes.generators.shapes import cuboid
+from skugga.terrain.meshes.body import Body
+from skugga.terrain.meshes.generators.shapes import cuboid
 
 BOXES_PER_SIDE = 10
 PITCH_M = 3.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.meshes.body import Body, transformed
-from terrain.meshes.generators.shapes import Colour, Vector, block, cuboid, lathe, loft, tube
+from skugga.terrain.meshes.body import Body, transformed
+from skugga.terrain.meshes.generators.shapes import Colour, Vector, block, cuboid, lathe, loft, tube
 
 OAK, WALNUT, BRASS = (0.66, 0.50, 0.34), (0.42, 0.30, 0.22), (0.70, 0.58, 0.36)
 LINEN, PAINT = (0.72, 0.69, 0.62), (0.85, 0.84, 0.80)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.meshes.body import Body
-from terrain.meshes.generators.shapes import hull
+from skugga.terrain.meshes.body import Body
+from skugga.terrain.meshes.generators.shapes import hull
 
 FIGURE_M = 30.0
 HOVER_M = 3.0

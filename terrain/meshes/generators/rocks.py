@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.meshes.body import Body, transformed
-from terrain.meshes.generators.shapes import Vector, cell_box, solid, superellipsoid
+from skugga.terrain.meshes.body import Body, transformed
+from skugga.terrain.meshes.generators.shapes import Vector, cell_box, solid, superellipsoid
 
 RINGS = ((0.0, 0.0, 0.0), (34.0, 15.0, 77.0), (-8.0, 40.0, 140.0), (-37.0, -9.0, 201.0), (10.0, -41.0, 293.0))
 """East, north, and turn in degrees of each ring."""

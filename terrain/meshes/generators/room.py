@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from terrain.meshes.body import Body, transformed
-from terrain.meshes.generators import furniture as made
-from terrain.meshes.generators.furniture import BRASS, CLAY, GLAZE, LINEN, OAK, PAINT, TABLE_M, WALNUT
-from terrain.meshes.generators.shapes import cuboid, loft, tube, wall
+from skugga.terrain.meshes.body import Body, transformed
+from skugga.terrain.meshes.generators import furniture as made
+from skugga.terrain.meshes.generators.furniture import BRASS, CLAY, GLAZE, LINEN, OAK, PAINT, TABLE_M, WALNUT
+from skugga.terrain.meshes.generators.shapes import cuboid, loft, tube, wall
 
 HALF_EAST_M, HALF_NORTH_M, HIGH_M = 4.0, 3.0, 3.0
 WALL_THICKNESS_M = 0.25

@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 import trimesh
 
-from terrain.meshes.body import Body, box, srgb_albedo
+from skugga.terrain.meshes.body import Body, box, srgb_albedo
 
 Vector = tuple[float, float, float]
 Colour = tuple[float, float, float]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from terrain.meshes.body import Body, transformed
-from terrain.meshes.generators.shapes import Colour, cuboid, gable, hull
+from skugga.terrain.meshes.body import Body, transformed
+from skugga.terrain.meshes.generators.shapes import Colour, cuboid, gable, hull
 
 PLASTER = ((0.86, 0.80, 0.68), (0.80, 0.66, 0.52), (0.78, 0.78, 0.74), (0.72, 0.52, 0.42), (0.88, 0.86, 0.80))
 TILES, SLATE, BRICK = (0.60, 0.30, 0.22), (0.36, 0.38, 0.42), (0.52, 0.30, 0.24)

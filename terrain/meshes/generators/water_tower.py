@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from terrain.meshes.body import Body, transformed
-from terrain.meshes.generators.shapes import arc, circle, hull, lathe, ring, tube
+from skugga.terrain.meshes.body import Body, transformed
+from skugga.terrain.meshes.generators.shapes import arc, circle, hull, lathe, ring, tube
 
 LEGS = 6
 FOOT_RADIUS_M, HEAD_RADIUS_M = 8.0, 5.75

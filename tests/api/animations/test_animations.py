@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from api.animations.animation import Animation
-from api.animations.animations import Animations
-from api.animations.film_order import FilmOrder
-from api.errors import LaterError, NotServedError, StorageError
-from api.settings import Settings
-from api.workers.jobs import LevelKey
-from selector.film_request import FilmSpan
-from terrain.errors import BusyError, InputError, RenderError
+from skugga.api.animations.animation import Animation
+from skugga.api.animations.animations import Animations
+from skugga.api.animations.film_order import FilmOrder
+from skugga.api.errors import LaterError, NotServedError, StorageError
+from skugga.api.settings import Settings
+from skugga.api.workers.jobs import LevelKey
+from skugga.selector.film_request import FilmSpan
+from skugga.terrain.errors import BusyError, InputError, RenderError
 from tests.api.workers.test_pool import SOON_S, until
 
 FRAMES = 4

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from api.cli import main as cli
+from skugga.api.cli import main as cli
 
 
 @pytest.fixture

@@ -7,22 +7,22 @@ from pathlib import Path
 
 import pytest
 
-from api import map_probing
-from api.http.served_levels import ServedLevels
-from api.map_probing import map_block, probe_blocks, probed_scales
-from api.workers.jobs import Tiles
-from api.workers.map_plans import plan_in_service, unprobed_class
-from api.workers.plan_basis import PlanBasis
-from api.workers.worker_state import tiles_view
-from selector.cost.device_profile import DeviceProfile
-from selector.cost.usual_device import usual_device
-from selector.kept_probes import load_probes, probes_folder
-from selector.map_probes import MapClass, map_class
-from terrain.gl.device import device
-from terrain.ground.surface import map_pixel_m
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.api import map_probing
+from skugga.api.http.served_levels import ServedLevels
+from skugga.api.map_probing import map_block, probe_blocks, probed_scales
+from skugga.api.workers.jobs import Tiles
+from skugga.api.workers.map_plans import plan_in_service, unprobed_class
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.worker_state import tiles_view
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.cost.usual_device import usual_device
+from skugga.selector.kept_probes import load_probes, probes_folder
+from skugga.selector.map_probes import MapClass, map_class
+from skugga.terrain.gl.device import device
+from skugga.terrain.ground.surface import map_pixel_m
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from api.cli import compiling
-from api.cli.compiling import compile_everything, compile_for_command
-from terrain.compiling import farm, loop_cache
-from terrain.compiling.ahead import PRODUCTS
-from terrain.compiling.loop_cache import loop_store
-from terrain.errors import RenderError
+from skugga.api.cli import compiling
+from skugga.api.cli.compiling import compile_everything, compile_for_command
+from skugga.terrain.compiling import farm, loop_cache
+from skugga.terrain.compiling.ahead import PRODUCTS
+from skugga.terrain.compiling.loop_cache import loop_store
+from skugga.terrain.errors import RenderError
 
 
 @pytest.mark.parametrize(("missing", "said"), [(7, "Compiled 7 loops in "), (0, "Nothing to compile: all loops are in ")])

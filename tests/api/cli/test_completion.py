@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-import api.cli.commands
-from api.catalogue import bundled_levels
-from api.cli.completion import complete_level, complete_words
-from api.cli.lazy_commands import COMMANDS
+from skugga.api.catalogue import bundled_levels
+from skugga.api.cli import commands
+from skugga.api.cli.completion import complete_level, complete_words
+from skugga.api.cli.lazy_commands import COMMANDS
 
 ROOT = Path(__file__).parents[3]
 
@@ -54,7 +54,7 @@ def skugga(tmp_path, monkeypatch) -> Path:
     """A command ``skugga`` on the path; its folder."""
     command = tmp_path / "bin" / "skugga"
     command.parent.mkdir()
-    program = "from api.cli.main import main; main()"
+    program = "from skugga.api.cli.main import main; main()"
     command.write_text(f"#!/bin/sh\nPYTHONPATH='{ROOT}' exec '{sys.executable}' -c \"{program}\" \"$@\"\n", encoding="utf-8")
     command.chmod(0o755)
     monkeypatch.setenv("PATH", str(command.parent), prepend=os.pathsep)
@@ -117,12 +117,12 @@ def test_zsh_is_offered_words_with_their_help(skugga):
 def test_help_in_the_list_is_that_of_the_command(name):
     function, summary = COMMANDS[name]
     module, _, attribute = function.partition(":")
-    command = getattr(importlib.import_module(f"api.cli.commands.{module}"), attribute)
+    command = getattr(importlib.import_module(f"skugga.api.cli.commands.{module}"), attribute)
     assert summary == " ".join(inspect.getdoc(command).split())
 
 
 def test_every_module_of_a_command_is_in_the_list():
-    folder = Path(api.cli.commands.__file__).parent
+    folder = Path(commands.__file__).parent
     modules = {path.stem for path in folder.glob("*.py")} - {"__init__"}
     assert modules == {function.partition(":")[0] for function, _ in COMMANDS.values()}
 

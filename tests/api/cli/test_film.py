@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from api.film_span import USUAL_FPS
-from selector.film import film_frames, frame_moments
-from selector.film_request import FilmRequest, FilmSpan
-from selector.replanning import Replanner
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.api.film_span import USUAL_FPS
+from skugga.selector.film import film_frames, frame_moments
+from skugga.selector.film_request import FilmRequest, FilmSpan
+from skugga.selector.replanning import Replanner
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 
 LEVEL = {
     "version": 1, "terrain": {"flat": {"size": [120, 120], "cells": [40, 40]}},
@@ -151,7 +151,7 @@ def test_a_sun_and_a_camera_that_move_together(gl, run, folder):
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_one_line_before_a_frame_is_drawn(run, folder, monkeypatch, options, told):
-    monkeypatch.setattr("selector.film.render_frame", lambda *_: pytest.fail("a frame was drawn"))
+    monkeypatch.setattr("skugga.selector.film.render_frame", lambda *_: pytest.fail("a frame was drawn"))
     for name, eye in (("low.yaml", [0, 0, -13]), ("off.yaml", [900, 0, 5])):
         (folder / name).write_text(json.dumps({"keys": [KEYS[0] | {"eye": [0, 9, 5]}, KEYS[1] | {"eye": eye}]}))
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -198,7 +198,7 @@ def test_a_full_disk_is_told_and_leaves_nothing(gl, run, folder, full_disk, outp
     [(signal.SIGINT, "film.webp"), (signal.SIGTERM, "film.mp4"), (signal.SIGINT, "frames/%d.png")],
 )
 def test_a_film_that_is_ended_leaves_nothing(folder, number, output):
-    code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from api.cli.main import main; main()"
+    code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from skugga.api.cli.main import main; main()"
     process = subprocess.Popen(
         [sys.executable, "-c", code, "render", "floor.yaml", "--view", "eye", "--from", "0s", "--to", "300s", "-o", output],
         stderr=subprocess.PIPE,
@@ -219,7 +219,7 @@ def test_on_a_terminal_there_is_a_bar_with_the_time_left(gl, folder):
     """And no line for each frame."""
     import pty
 
-    code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from api.cli.main import main; main()"
+    code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from skugga.api.cli.main import main; main()"
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
         [sys.executable, "-c", code, "render", "floor.yaml", "--view", "eye", *CLOCK, "-o", "film.webp"],

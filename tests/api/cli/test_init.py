@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 
 LEFT_OUT = re.compile(r"^#(?! \S)(?=.)")

@@ -11,16 +11,16 @@ import pytest
 import rasterio
 from PIL import Image
 
-from api.catalogue import bundled_levels
-from api.http import server
-from api.http.served_levels import ServedLevels
-from api.layers import MASK_NO_SURFACE, MASK_SHADOW
-from api.settings import Settings
-from api.workers.spawned import Spawned
-from terrain.errors import InputError
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
-from terrain.scene import build_scene
+from skugga.api.catalogue import bundled_levels
+from skugga.api.http import server
+from skugga.api.http.served_levels import ServedLevels
+from skugga.api.layers import MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.settings import Settings
+from skugga.api.workers.spawned import Spawned
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.scene import build_scene
 from tests.rasters import write_geotiff
 
 WEST, NORTH, CELL = 500e3, 5200e3, 2.0
@@ -226,7 +226,7 @@ def served(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path | None, list[str]
         calls.append((settings.levels, [level.path.stem for level in levels]))
 
     monkeypatch.setattr(server, "serve", note)
-    monkeypatch.setattr("api.cli.commands.serve.forbid_remote_reads", lambda: None)
+    monkeypatch.setattr("skugga.api.cli.commands.serve.forbid_remote_reads", lambda: None)
     return calls
 
 

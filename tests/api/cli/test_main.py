@@ -14,7 +14,7 @@ import pytest
 import rasterio
 from PIL import Image
 
-from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
 from tests.rasters import write_geotiff
 
 SMALL = ("--size", "96x100", "--azimuth", "246", "--altitude", "12")
@@ -179,7 +179,7 @@ def test_what_nobody_foresaw_is_one_line_too(run, tmp_path, monkeypatch):
     def broken(*_: object) -> None:
         raise ZeroDivisionError("of all things")
 
-    monkeypatch.setattr("api.cli.snapshot.render_frame", broken)
+    monkeypatch.setattr("skugga.api.cli.snapshot.render_frame", broken)
     status, _, err = run("render", "jacksboro", *SMALL, "-o", str(tmp_path / "x.png"))
     assert status == 1 and err.count("\n") == 1 and "ZeroDivisionError" in err and "--debug" in err
 
@@ -193,7 +193,7 @@ def test_a_signal_that_meets_a_compiled_loop_ends_in_order(run, tmp_path, monkey
     def interrupted(*_: object) -> None:
         raise SystemError("returned a result with an exception set") from ended_by
 
-    monkeypatch.setattr("api.cli.snapshot.render_frame", interrupted)
+    monkeypatch.setattr("skugga.api.cli.snapshot.render_frame", interrupted)
     status, _, err = run("render", "jacksboro", *SMALL, "--azimuth", "200", "--altitude", "30", "-o", str(tmp_path / "x.png"))
     assert (status, err) == expected
 
@@ -277,7 +277,7 @@ def test_the_installed_command_runs():
 
 
 def test_compare_prints_and_writes_rows_and_pictures(gl, run, tmp_path, monkeypatch):
-    monkeypatch.setattr("selector.measure.compare.ROW_REPEATS", 1)
+    monkeypatch.setattr("skugga.selector.measure.compare.ROW_REPEATS", 1)
     rows_file, folder = tmp_path / "rows.json", tmp_path / "errors"
     status, out, err = run("compare", "jacksboro", *SMALL, "--json", str(rows_file), "-o", str(folder))
     assert (status, err) == (0, "")
@@ -324,7 +324,7 @@ def test_truth_needs_no_opengl(tmp_path):
     code = (
         "import sys; sys.argv = ['skugga', 'render', 'jacksboro', '--size', '60x60', '--algorithm', 'truth',"
         f" '-o', {str(tmp_path / 'x.png')!r}, '--stats', {str(tmp_path / 's.json')!r}]\n"
-        "from api.cli.main import main; main()"
+        "from skugga.api.cli.main import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

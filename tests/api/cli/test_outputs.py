@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 import rasterio
 
-from api.cli.outputs import check_targets
-from terrain.errors import InputError
-from terrain.level.level_source import LevelSource
+from skugga.api.cli.outputs import check_targets
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.level_source import LevelSource
 from tests.rasters import write_geotiff
 
 UTM = "EPSG:32633"
@@ -142,7 +142,7 @@ def test_contours_and_hours_on_a_full_disk(run, folder, full_disk):
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_run_that_is_ended_leaves_nothing_beside_its_output(folder, number):
-    code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from api.cli.main import main; main()"
+    code = "import sys; sys.argv = ['skugga', *sys.argv[1:]]; from skugga.api.cli.main import main; main()"
     times = ("--from", "2024-03-21T06:00Z", "--to", "2024-03-28T06:00Z", "--step", "1h")
     process = subprocess.Popen(
         [sys.executable, "-c", code, "shade", "dem.tif", "-o", "m_{time}.tif", *times],

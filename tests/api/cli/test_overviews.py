@@ -10,10 +10,10 @@ import pytest
 import rasterio
 from rasterio.windows import Window
 
-from api import overviews as module
-from terrain.errors import SourceError
-from terrain.ground import overview
-from terrain.ground.elevation import Elevation
+from skugga.api import overviews as module
+from skugga.terrain.errors import SourceError
+from skugga.terrain.ground import overview
+from skugga.terrain.ground.elevation import Elevation
 from tests.rasters import write_geotiff
 
 ROWS, COLS = 1101, 1300
@@ -22,7 +22,7 @@ SENTINEL = -32768
 
 @pytest.fixture(autouse=True)
 def a_small_raster_is_big(monkeypatch):
-    monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 300_000)
+    monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 300_000)
     monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 300_000)
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
     monkeypatch.setattr(overview, "MOST_CELLS_READ", 500_000)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from api.point.horizon_formats import HORIZON_FORMATS
-from shadows.point.clock import clock_of
+from skugga.api.point.horizon_formats import HORIZON_FORMATS
+from skugga.shadows.point.clock import clock_of
 from tests.rasters import ENGINEERING, write_geotiff
 
 AT = "15.0,47.5"

@@ -94,7 +94,7 @@ def test_a_full_disk_is_told_and_nothing_is_lost(run, raster, tmp_path, monkeypa
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device", str(tmp_path / "a.pmtiles"))
 
-    monkeypatch.setattr("api.seed.publishing.write_archive", full)
+    monkeypatch.setattr("skugga.api.seed.publishing.write_archive", full)
     status, _, err = run("seed", "dem.tif", *QUICK, "-o", "a.pmtiles", "--workers", "1")
     assert status == 1 and "a.pmtiles: No space left on device" in err
     assert (tmp_path / "a.pmtiles").read_bytes() == before

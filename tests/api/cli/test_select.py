@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from api.catalogue import bundled_levels
-from api.report.plan_text import format_expectation, format_overshoot, format_plan
 from scripts.write_schemas import DOCS, MODELS, schema_text
-from selector.cost.device_profile import DeviceProfile, Residual, load_profile, profile_path
-from shadows.plan import Plan, Predicted, Target
-from terrain.facts.descriptor import Descriptor
-from terrain.level.level import load_level
+from skugga.api.catalogue import bundled_levels
+from skugga.api.report.plan_text import format_expectation, format_overshoot, format_plan
+from skugga.selector.cost.device_profile import DeviceProfile, Residual, load_profile, profile_path
+from skugga.shadows.plan import Plan, Predicted, Target
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.level import load_level
 
 
 @pytest.fixture
@@ -191,7 +191,7 @@ def profile(**changes) -> DeviceProfile:
 def test_calibrate_measures_keeps_and_says_so(run, monkeypatch):
     fits = {"shadow_map": Residual(rows=9, median=0.05, p90=0.2)}
     measured = profile(rates_ns={"depth_map": {"texels": 1.5, "triangles": 20.0}}, residuals=fits)
-    monkeypatch.setattr("selector.cost.calibration.calibrate", lambda on_step: on_step(1, 2) or measured)
+    monkeypatch.setattr("skugga.selector.cost.calibration.calibrate", lambda on_step: on_step(1, 2) or measured)
     status, out, err = run("calibrate")
     path = profile_path("a device", "4.6")
     assert (status, err) == (0, "") and load_profile("a device", "4.6") == measured
@@ -203,6 +203,6 @@ def test_calibrate_measures_keeps_and_says_so(run, monkeypatch):
 def test_calibrate_without_a_place_to_keep_it_is_one_line(run, monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    monkeypatch.setattr("selector.cost.calibration.calibrate", lambda on_step: profile())
+    monkeypatch.setattr("skugga.selector.cost.calibration.calibrate", lambda on_step: profile())
     status, out, err = run("calibrate")
     assert status == 1 and out == "" and err.count("\n") == 1 and "file" in err

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from terrain.level.level import load_level
+from skugga.terrain.level.level import load_level
 
 LEVEL = """\
 version: 1   # the first

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from api.http import server
+from skugga.api.http import server
 from tests.api.conftest import PNG, write_level, write_tiles
 
 
@@ -45,7 +45,7 @@ WRONG: dict[str, tuple[Callable[[bytes], bytes], str]] = {
 @pytest.mark.parametrize("kind", WRONG)
 def test_a_wrong_archive_is_one_line_and_status_2(run, tmp_path: Path, kind: str, monkeypatch):
     make, words = WRONG[kind]
-    monkeypatch.setattr("api.cli.commands.serve.forbid_remote_reads", lambda: None)
+    monkeypatch.setattr("skugga.api.cli.commands.serve.forbid_remote_reads", lambda: None)
     path = write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): PNG, (2, 1, 1): PNG})
     path.write_bytes(make(path.read_bytes()))
     status, out, err = run("serve", str(path))
@@ -57,7 +57,7 @@ def test_a_wrong_archive_is_one_line_and_status_2(run, tmp_path: Path, kind: str
 
 
 def test_options_of_rasters_are_not_for_archives(run, tmp_path: Path, monkeypatch):
-    monkeypatch.setattr("api.cli.commands.serve.forbid_remote_reads", lambda: None)
+    monkeypatch.setattr("skugga.api.cli.commands.serve.forbid_remote_reads", lambda: None)
     path = write_tiles(tmp_path / "a.pmtiles", {(2, 0, 0): PNG})
     status, out, err = run("serve", str(path), "--nodata", "0")
     assert (status, out, err.count("\n")) == (2, "", 1) and "--nodata" in err
@@ -65,7 +65,7 @@ def test_options_of_rasters_are_not_for_archives(run, tmp_path: Path, monkeypatc
 
 def test_archives_are_served_beside_levels_or_alone(run, tmp_path: Path, monkeypatch):
     calls: list[tuple[list[str], list[str]]] = []
-    monkeypatch.setattr("api.cli.commands.serve.forbid_remote_reads", lambda: None)
+    monkeypatch.setattr("skugga.api.cli.commands.serve.forbid_remote_reads", lambda: None)
     monkeypatch.setattr(
         server, "serve", lambda settings, levels, archives, _: calls.append(([each.path.name for each in levels], archives))
     )

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import rasterio
 
-from api.cli.times import suns_of
-from terrain.errors import InputError
+from skugga.api.cli.times import suns_of
+from skugga.terrain.errors import InputError
 from tests.rasters import write_geotiff
 
 
@@ -28,7 +28,7 @@ def test_from_a_raster_to_its_mask_is_one_command(run, raster, tmp_path):
 
 
 def test_on_a_terminal_it_is_said_which_sun_nobody_chose(run, raster, tmp_path, monkeypatch):
-    monkeypatch.setattr("api.cli.warnings.sys", SimpleNamespace(stderr=SimpleNamespace(isatty=lambda: True)))
+    monkeypatch.setattr("skugga.api.cli.warnings.sys", SimpleNamespace(stderr=SimpleNamespace(isatty=lambda: True)))
     status, _, err = run("shade", str(raster), "-o", str(tmp_path / "mask.tif"))
     assert status == 0 and err.startswith("skugga: dem is drawn with its own light, the sun ") and "--time" in err
     asked = "--azimuth", "200", "--altitude", "30"

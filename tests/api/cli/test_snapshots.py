@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from api.cli.snapshot import snapshot
-from api.http.app import create_app
-from api.http.served_levels import ServedLevels
-from api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW, encode_picture, picture_layer
-from api.settings import Settings
-from api.workers.jobs import LevelKey
-from api.workers.process_life import resident_bytes
-from api.workers.worker_state import MAX_PROCESS_BYTES, SceneCache
-from terrain.level.parts import SunSpec
+from skugga.api.cli.snapshot import snapshot
+from skugga.api.http.app import create_app
+from skugga.api.http.served_levels import ServedLevels
+from skugga.api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW, encode_picture, picture_layer
+from skugga.api.settings import Settings
+from skugga.api.workers.jobs import LevelKey
+from skugga.api.workers.process_life import resident_bytes
+from skugga.api.workers.worker_state import MAX_PROCESS_BYTES, SceneCache
+from skugga.terrain.level.parts import SunSpec
 from tests.api.conftest import Client, running
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers

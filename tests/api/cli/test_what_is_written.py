@@ -12,8 +12,8 @@ import rasterio
 from rasterio.enums import ColorInterp
 from rich.console import Console
 
-from api.catalogue import bundled_levels
-from api.cli.tables import named_table
+from skugga.api.catalogue import bundled_levels
+from skugga.api.cli.tables import named_table
 from tests.rasters import write_geotiff
 
 SUN = ("--azimuth", "250", "--altitude", "12")
@@ -27,7 +27,7 @@ def raster(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def terminal(monkeypatch) -> None:
-    monkeypatch.setattr("api.cli.warnings.sys", SimpleNamespace(stderr=SimpleNamespace(isatty=lambda: True)))
+    monkeypatch.setattr("skugga.api.cli.warnings.sys", SimpleNamespace(stderr=SimpleNamespace(isatty=lambda: True)))
 
 
 @pytest.mark.parametrize("layer", ["mask", "visibility", "cosi"])

@@ -9,16 +9,16 @@ from pathlib import Path
 import pytest
 import rasterio
 
-from api.cli.level_argument import _find_named
-from api.http import answers
-from api.http.app import create_app
-from api.http.served_levels import ServedLevels
-from api.settings import Settings
-from shadows.point.place import place_at
-from terrain.errors import InputError
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
-from terrain.scene import build_scene
+from skugga.api.cli.level_argument import _find_named
+from skugga.api.http import answers
+from skugga.api.http.app import create_app
+from skugga.api.http.served_levels import ServedLevels
+from skugga.api.settings import Settings
+from skugga.shadows.point.place import place_at
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.scene import build_scene
 from tests.api.conftest import running, write_level
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers

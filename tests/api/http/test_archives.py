@@ -16,15 +16,15 @@ from pmtiles.reader import MmapSource, all_tiles
 from pmtiles.tile import Compression, TileType, tileid_to_zxy
 from pmtiles.writer import Writer
 
-from api.errors import ArchiveError
-from api.http import archive_file
-from api.http.app import create_app
-from api.http.archive_file import ArchiveFile
-from api.http.served_archives import in_utc
-from api.seed.archive import first_tile_id
-from api.settings import Settings
-from terrain.errors import InputError, LevelError
-from terrain.level.level import load_level
+from skugga.api.errors import ArchiveError
+from skugga.api.http import archive_file
+from skugga.api.http.app import create_app
+from skugga.api.http.archive_file import ArchiveFile
+from skugga.api.http.served_archives import in_utc
+from skugga.api.seed.archive import first_tile_id
+from skugga.api.settings import Settings
+from skugga.terrain.errors import InputError, LevelError
+from skugga.terrain.level.level import load_level
 from tests.api.conftest import CORNER, PNG, ZOOM, Client, running, write_level, write_tiles
 from tests.api.http.test_problems import check_problem
 from tests.api.seed.pmtiles_checker import MAGIC, place_of

@@ -17,8 +17,8 @@ import pytest
 from morecantile import tms
 from PIL import Image
 
-from api.http.served_levels import DEFAULT_MATRIX_SET
-from terrain.level.gdal_guard import NO_REMOTE_READS
+from skugga.api.http.served_levels import DEFAULT_MATRIX_SET
+from skugga.terrain.level.gdal_guard import NO_REMOTE_READS
 from tests.api.conftest import CORNER, ZOOM, Client
 
 MATRIX_SET = tms.get(DEFAULT_MATRIX_SET)

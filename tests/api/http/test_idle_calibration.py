@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from api.http.app import create_app
-from api.http.server import log_config
-from api.settings import Settings
-from api.workers import idle_calibration, idle_work
-from api.workers.process_life import is_stopped
-from selector.cost.device_profile import load_profile, profile_path, save_profile
+from skugga.api.http.app import create_app
+from skugga.api.http.server import log_config
+from skugga.api.settings import Settings
+from skugga.api.workers import idle_calibration, idle_work
+from skugga.api.workers.process_life import is_stopped
+from skugga.selector.cost.device_profile import load_profile, profile_path, save_profile
 from tests.api import conftest
 from tests.api.conftest import CORNER, ZOOM, Client, running
 from tests.api.workers import fake_calibrations, fake_workers

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from api.http import level_checks, routes_wms
-from api.http.app import create_app
-from api.http.level_checks import LevelCheck
-from api.settings import Settings
-from terrain.errors import LevelError
+from skugga.api.http import level_checks, routes_wms
+from skugga.api.http.app import create_app
+from skugga.api.http.level_checks import LevelCheck
+from skugga.api.settings import Settings
+from skugga.terrain.errors import LevelError
 from tests.api.conftest import CORNER, ZOOM, running, write_level
 from tests.api.workers import fake_workers
 

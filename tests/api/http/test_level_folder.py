@@ -16,13 +16,13 @@ from pathlib import Path
 import httpx
 import pytest
 
-from api.errors import exit_status
-from api.http.app import create_app
-from api.http.served_levels import ServedLevels
-from api.settings import Settings
-from api.workers.jobs import Failure, Ping, Pong, Ready
-from api.workers.worker_config import WorkerConfig
-from terrain.errors import InputError, LevelError
+from skugga.api.errors import exit_status
+from skugga.api.http.app import create_app
+from skugga.api.http.served_levels import ServedLevels
+from skugga.api.settings import Settings
+from skugga.api.workers.jobs import Failure, Ping, Pong, Ready
+from skugga.api.workers.worker_config import WorkerConfig
+from skugga.terrain.errors import InputError, LevelError
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
 from tests.api.http.test_problems import check_problem
 from tests.api.http.test_serve import serving

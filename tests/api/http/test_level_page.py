@@ -10,9 +10,9 @@ from xml.etree import ElementTree
 
 import pytest
 
-from api.http.app import create_app
-from api.http.level_page import level_page
-from api.settings import Settings
+from skugga.api.http.app import create_app
+from skugga.api.http.level_page import level_page
+from skugga.api.settings import Settings
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
 from tests.api.workers import fake_workers
 

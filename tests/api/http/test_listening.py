@@ -9,8 +9,8 @@ from contextlib import ExitStack
 
 import pytest
 
-from api.http.server import connection_limit
-from api.settings import Settings
+from skugga.api.http.server import connection_limit
+from skugga.api.settings import Settings
 from tests.api.conftest import Client
 from tests.api.workers import fake_workers
 

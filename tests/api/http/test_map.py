@@ -14,9 +14,9 @@ from PIL import Image
 from pyproj import Transformer
 from rasterio.io import MemoryFile
 
-from api.color_scale import ColorScale
-from api.http.map_extents import crs_code, crs_of_code, map_size, north_first, parse_bounds
-from terrain.errors import InputError
+from skugga.api.color_scale import ColorScale
+from skugga.api.http.map_extents import crs_code, crs_of_code, map_size, north_first, parse_bounds
+from skugga.terrain.errors import InputError
 from tests.api.conftest import CELL_M, CELLS, CORNER, ZOOM, Client
 from tests.api.http.test_problems import check_problem
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.errors import TooManySunsError
-from api.http.moments import rounded_time
-from api.http.new_suns import NewSuns, network_of
+from skugga.api.errors import TooManySunsError
+from skugga.api.http.moments import rounded_time
+from skugga.api.http.new_suns import NewSuns, network_of
 from tests.api.conftest import CORNER, ZOOM
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
@@ -76,7 +76,7 @@ def test_current_is_now_and_soon_stale(serve_with):
 
 
 def test_an_address_that_means_now_is_not_remembered(serve_with, monkeypatch: pytest.MonkeyPatch):
-    from api.http import moments
+    from skugga.api.http import moments
 
     class Clock(datetime):
         at = datetime(2024, 6, 21, 12, 0, 30, tzinfo=UTC)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from httpx import Client
 
-from api.http.app import create_app
-from api.settings import Settings
+from skugga.api.http.app import create_app
+from skugga.api.settings import Settings
 from tests.api.conftest import running
 from tests.api.crs_towers import plain_with_tower
 from tests.rasters import write_geotiff

@@ -25,7 +25,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from api.http import (
+from skugga.api.http import (
     routes_animations,
     routes_archives,
     routes_health,
@@ -39,10 +39,10 @@ from api.http import (
     routes_wms,
     routes_wmts,
 )
-from api.http.app import create_app
-from api.http.cameras import CAMERA_PARAMETERS
-from api.http.problems import MEDIA_TYPE, problem_kinds
-from api.settings import Settings
+from skugga.api.http.app import create_app
+from skugga.api.http.cameras import CAMERA_PARAMETERS
+from skugga.api.http.problems import MEDIA_TYPE, problem_kinds
+from skugga.api.settings import Settings
 from tests.api.conftest import CORNER, ENGINEERING, ZOOM, Client, running, write_level
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers

@@ -10,14 +10,14 @@ import pytest
 from prometheus_client.metrics_core import Metric
 from pydantic_core import PydanticUndefined
 
-from api.animations.animations import Animations
-from api.animations.drawing import frames_drawn_by, write_animation
-from api.http.encoded_tiles import EncodedTiles
-from api.http.metrics import ServiceMetrics
-from api.http.problems import problem_kinds
-from api.http.sent_descriptor import MAX_BANDS, MAX_LAMPS
-from api.settings import Settings
-from api.workers.pool import Pool
+from skugga.api.animations.animations import Animations
+from skugga.api.animations.drawing import frames_drawn_by, write_animation
+from skugga.api.http.encoded_tiles import EncodedTiles
+from skugga.api.http.metrics import ServiceMetrics
+from skugga.api.http.problems import problem_kinds
+from skugga.api.http.sent_descriptor import MAX_BANDS, MAX_LAMPS
+from skugga.api.settings import Settings
+from skugga.api.workers.pool import Pool
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "operating.md"

@@ -13,19 +13,19 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from api.http.sent_descriptor import MAX_LAMPS, FactsByEffect, SentDescriptor
-from api.settings import Settings
-from api.workers.jobs import DescribedPlanJob, Tiles
-from api.workers.plan_basis import PlanBasis
-from api.workers.render_worker import run_job
-from api.workers.worker_state import TilePlanCache, WorkerState, block_view, tiles_view
-from selector.cost.device_profile import DeviceProfile, digest_of
-from selector.select import plan_of_view
-from shadows.plan import Plan
-from terrain.cache import bytes_of
-from terrain.facts.descriptor import Descriptor
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.api.http.sent_descriptor import MAX_LAMPS, FactsByEffect, SentDescriptor
+from skugga.api.settings import Settings
+from skugga.api.workers.jobs import DescribedPlanJob, Tiles
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.render_worker import run_job
+from skugga.api.workers.worker_state import TilePlanCache, WorkerState, block_view, tiles_view
+from skugga.selector.cost.device_profile import DeviceProfile, digest_of
+from skugga.selector.select import plan_of_view
+from skugga.shadows.plan import Plan
+from skugga.terrain.cache import bytes_of
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 from tests.api.conftest import ZOOM, Client
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
@@ -270,7 +270,7 @@ def test_documentation(client: Client):
 
 def calibrated(pipe, config) -> None:
     """An obedient worker whose device has a calibration."""
-    from api.workers.jobs import Ready
+    from skugga.api.workers.jobs import Ready
 
     class Pipe:
         def __getattr__(self, name):
@@ -299,8 +299,8 @@ def test_pictures_of_another_calibration_have_other_tags(serve_with):
 
 
 def test_tiles_of_a_zoom_have_one_plan_which_is_made_once(gl, hills_level):
-    from api.workers.jobs import BlockJob, LevelKey
-    from api.workers.worker_state import plan_of_tiles
+    from skugga.api.workers.jobs import BlockJob, LevelKey
+    from skugga.api.workers.worker_state import plan_of_tiles
 
     scene = build_scene(load_level(hills_level))
     jobs = [

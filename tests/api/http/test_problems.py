@@ -9,11 +9,11 @@ import httpx
 import pytest
 from starlette.requests import Request
 
-from api.errors import OUTCOMES
-from api.http.app import create_app
-from api.http.problems import domain_problem
-from api.settings import Settings
-from terrain.errors import BusyError, InputError, RenderTimeoutError, SkuggaError
+from skugga.api.errors import OUTCOMES
+from skugga.api.http.app import create_app
+from skugga.api.http.problems import domain_problem
+from skugga.api.settings import Settings
+from skugga.terrain.errors import BusyError, InputError, RenderTimeoutError, SkuggaError
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
 from tests.api.workers import fake_workers
 

@@ -19,8 +19,8 @@ SOON_S = 60
 SERVE = """
 import sys
 from pathlib import Path
-from api.http.server import serve
-from api.settings import Settings
+from skugga.api.http.server import serve
+from skugga.api.settings import Settings
 
 if __name__ == "__main__":
     serve(Settings(port=0, workers=1), [Path(path) for path in sys.argv[1:]])
@@ -29,9 +29,9 @@ if __name__ == "__main__":
 LOOK_INSIDE = f"""
 import sys
 from pathlib import Path
-from api.http.app import create_app
-from api.settings import Settings
-from terrain.gl import device as gl
+from skugga.api.http.app import create_app
+from skugga.api.settings import Settings
+from skugga.terrain.gl import device as gl
 from tests.api.conftest import running
 
 if __name__ == "__main__":
@@ -112,7 +112,7 @@ def test_the_services_process_has_no_opengl(hills_level: Path, client):
 def test_a_wrong_level_ends_it_at_once(tmp_path: Path):
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("version: 7\nterrain: {source: dem.tif}", encoding="utf-8")
-    script = "import sys; from api.cli.main import main; sys.argv = ['skugga', 'serve', sys.argv[1]]; main()"
+    script = "import sys; from skugga.api.cli.main import main; sys.argv = ['skugga', 'serve', sys.argv[1]]; main()"
     command = [sys.executable, "-c", script, str(wrong)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=SOON_S)
     assert done.returncode == 2

@@ -7,15 +7,15 @@ import pytest
 import rasterio
 import rasterio.shutil
 
-from api.catalogue import bundled_levels
-from api.errors import exit_status
-from api.http.app import create_app
-from api.http.served_levels import ServedLevels
-from api.level_summary import remarks
-from api.settings import Settings
-from api.workers.jobs import LevelKey
-from api.workers.worker_state import SceneCache
-from terrain.errors import InputError, LevelError, NotFoundError, SkuggaError, SourceError, UnsupportedError
+from skugga.api.catalogue import bundled_levels
+from skugga.api.errors import exit_status
+from skugga.api.http.app import create_app
+from skugga.api.http.served_levels import ServedLevels
+from skugga.api.level_summary import remarks
+from skugga.api.settings import Settings
+from skugga.api.workers.jobs import LevelKey
+from skugga.api.workers.worker_state import SceneCache
+from skugga.terrain.errors import InputError, LevelError, NotFoundError, SkuggaError, SourceError, UnsupportedError
 from tests.api.conftest import running, write_level
 from tests.api.http.test_problems import check_problem
 

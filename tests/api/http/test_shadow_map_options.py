@@ -10,10 +10,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from api.cli import main as cli
-from api.http.parameters import picture_query
-from api.settings import Settings
-from api.workers.jobs import RequestedSettings
+from skugga.api.cli import main as cli
+from skugga.api.http.parameters import picture_query
+from skugga.api.settings import Settings
+from skugga.api.workers.jobs import RequestedSettings
 
 SMALL = ("--size", "64x64", "--azimuth", "246", "--altitude", "12")
 

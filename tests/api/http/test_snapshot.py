@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from api.cli.snapshot import snapshot
+from skugga.api.cli.snapshot import snapshot
 from tests.api.conftest import Client, write_level
 from tests.api.http.test_problems import check_problem
 

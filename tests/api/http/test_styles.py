@@ -8,7 +8,7 @@ import pytest
 from morecantile import tms as matrix_sets
 from PIL import Image
 
-from terrain.style import STYLES
+from skugga.terrain.style import STYLES
 from tests.api.conftest import CORNER, ZOOM, Client
 
 X, Y = CORNER

@@ -10,8 +10,8 @@ import pytest
 from morecantile import tms
 from PIL import Image
 
-from api.color_scale import ColorScale
-from api.sun_hours_layer import SunHoursQuery
+from skugga.api.color_scale import ColorScale
+from skugga.api.sun_hours_layer import SunHoursQuery
 from tests.api.conftest import Client
 from tests.api.http.test_problems import check_problem
 
@@ -109,6 +109,6 @@ def test_polar_night_has_a_scale_too(globe_at):
 def globe_at():
     from pyproj import CRS
 
-    from terrain.geo.world import World
+    from skugga.terrain.geo.world import World
 
     return lambda lon, lat: World(CRS.from_epsg(4326), False, lon, lat, lon, lat)

@@ -11,13 +11,13 @@ import pytest
 from morecantile import tms as matrix_sets
 from PIL import Image
 
-from api.http.app import create_app
-from api.http.level_checks import LevelCheck
-from api.layers import picture_layer
-from api.settings import Settings
-from api.workers.block_tiles import encode
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.api.http.app import create_app
+from skugga.api.http.level_checks import LevelCheck
+from skugga.api.layers import picture_layer
+from skugga.api.settings import Settings
+from skugga.api.workers.block_tiles import encode
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
 from tests.api.workers import fake_workers
 from tests.render import render

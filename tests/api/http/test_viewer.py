@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from fastapi import FastAPI
 
-from api.http import routes_viewer
-from api.http.app import create_app
-from api.settings import Settings
+from skugga.api.http import routes_viewer
+from skugga.api.http.app import create_app
+from skugga.api.settings import Settings
 from tests.api.conftest import Client, running
 from tests.api.workers import fake_workers
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from api.http.watching import LogLine, request_id
+from skugga.api.http.watching import LogLine, request_id
 from tests.api.conftest import CORNER, ZOOM, Client
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers
@@ -66,7 +66,7 @@ def test_clients_cannot_make_up_series(serve_with):
 
 def test_passes_by_algorithm_are_bounded(serve_with):
     metrics = serve_with(fake_workers.obedient).service.metrics
-    from api.workers.jobs import Snapshot
+    from skugga.api.workers.jobs import Snapshot
 
     for number in range(1000):
         metrics.drawn(Snapshot(b"", 1.0, f"mix {number}", (("geometry", 1.0),), 0.0, 0.0, True, "fake"))

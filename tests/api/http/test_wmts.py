@@ -15,11 +15,11 @@ from owslib.wmts import WebMapTileService
 from PIL import Image
 from pyproj import CRS
 
-from api.http.app import create_app
-from api.http.ogc_times import TimeDimension, date_asked, instant_asked, time_dimension
-from api.http.ogc_xml import lon_lat_box
-from api.settings import Settings
-from terrain.errors import InputError
+from skugga.api.http.app import create_app
+from skugga.api.http.ogc_times import TimeDimension, date_asked, instant_asked, time_dimension
+from skugga.api.http.ogc_xml import lon_lat_box
+from skugga.api.settings import Settings
+from skugga.terrain.errors import InputError
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
 from tests.api.workers import fake_workers
 

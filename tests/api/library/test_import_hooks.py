@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from api.library.import_hooks import call_after_import
+from skugga.api.library.import_hooks import call_after_import
 
 NAME = "a_module_to_wait_for"
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 import skugga
-from api.library import memory
+from skugga.api.library import memory
 
 NAN, INF = float("nan"), float("inf")
 GROUND = np.zeros((6, 7), np.float32)

@@ -9,11 +9,11 @@ import numpy as np
 import pandas
 import pytest
 
-from api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
-from shadows.point.horizon import PointHorizon
-from shadows.point.place import PointPlace
-from terrain.errors import InputError
-from terrain.geo.world import WGS84
+from skugga.api.point.horizon_formats import HORIZON_FORMATS, directions_for, horizon_file
+from skugga.shadows.point.horizon import PointHorizon
+from skugga.shadows.point.place import PointPlace
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.world import WGS84
 
 PLACE = PointPlace(0.0, 0.0, 11.25, 47.5, 0.0, 0.0, 600.0, 2.0, WGS84, np.zeros(3), np.eye(3))
 

@@ -20,9 +20,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from api.report.page.bars import REST, bars, stages_of
-from api.report.page.marks import mark_of
-from api.report.page.pictures import (
+from skugga.api.report.page.bars import REST, bars, stages_of
+from skugga.api.report.page.marks import mark_of
+from skugga.api.report.page.pictures import (
     CORRECT,
     FALSE_SHADOW,
     FEW_GRAY_LEVELS,
@@ -33,13 +33,13 @@ from api.report.page.pictures import (
     palette,
     report_pictures,
 )
-from api.report.page.scales import scale_of
-from api.report.page.scatter import SCATTER_HEIGHT, SCATTER_WIDTH, scatter_plot
-from api.report.report import MAX_PAGE_BYTES, report_html, write_report, write_scatter
-from api.report.summary import algorithm_family, casts
-from selector.measure.compare import Comparison, ComparisonRow, false_colours
-from shadows.registry import ALGORITHMS
-from terrain.geo.camera import PerspectiveView
+from skugga.api.report.page.scales import scale_of
+from skugga.api.report.page.scatter import SCATTER_HEIGHT, SCATTER_WIDTH, scatter_plot
+from skugga.api.report.report import MAX_PAGE_BYTES, report_html, write_report, write_scatter
+from skugga.api.report.summary import algorithm_family, casts
+from skugga.selector.measure.compare import Comparison, ComparisonRow, false_colours
+from skugga.shadows.registry import ALGORITHMS
+from skugga.terrain.geo.camera import PerspectiveView
 from tests.api.report.test_summary import COLS, NONE, ROWS, comparison, figures
 
 BASE = np.linspace(0, 255, ROWS * COLS * 3).astype(np.uint8).reshape(ROWS, COLS, 3)

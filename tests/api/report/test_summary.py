@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.report.summary import algorithm_family, format_summary
-from selector.formatting import format_duration, format_list, format_percent
-from selector.measure.compare import Comparison, ComparisonRow
-from shadows.truth.metrics import MOST_INTERIOR
-from terrain.geo.camera import PerspectiveView
+from skugga.api.report.summary import algorithm_family, format_summary
+from skugga.selector.formatting import format_duration, format_list, format_percent
+from skugga.selector.measure.compare import Comparison, ComparisonRow
+from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.terrain.geo.camera import PerspectiveView
 
 ROWS, COLS = 6, 8
 VIEW = PerspectiveView(np.zeros(3), np.eye(3), 10.0, -2.5, -3.5, 1.0, ROWS, COLS)

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from api.matrices import ZoomRange
-from api.seed.drawing import Drawer
-from api.seed.messages import Drawn, NotDrawn, Task
-from api.seed.planning import PlannedRun, SeedRequest, plan_run
-from api.seed.running import TaskEnd
-from api.seed.seeding import Seeded, draw_and_publish
-from api.seed.storage import FolderStore
-from api.seed.task_table import TaskTable
-from api.workers.jobs import RequestedSettings
-from terrain.level.level_source import LevelSource
-from terrain.level.parts import SunSpec
+from skugga.api.matrices import ZoomRange
+from skugga.api.seed.drawing import Drawer
+from skugga.api.seed.messages import Drawn, NotDrawn, Task
+from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
+from skugga.api.seed.running import TaskEnd
+from skugga.api.seed.seeding import Seeded, draw_and_publish
+from skugga.api.seed.storage import FolderStore
+from skugga.api.seed.task_table import TaskTable
+from skugga.api.workers.jobs import RequestedSettings
+from skugga.terrain.level.level_source import LevelSource
+from skugga.terrain.level.parts import SunSpec
 from tests.rasters import write_geotiff
 
 LOW_SUN = SunSpec(azimuth=225.0, altitude=12.0)

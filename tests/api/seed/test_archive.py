@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from pmtiles.reader import MmapSource, Reader, all_tiles
 
-from api.errors import BrokenShardError
-from api.seed.archive import SHARED_BELOW_BYTES, ArchiveFacts, ArchiveSize, ShardIndex, first_tile_id, write_archive
-from terrain.errors import InputError
+from skugga.api.errors import BrokenShardError
+from skugga.api.seed.archive import SHARED_BELOW_BYTES, ArchiveFacts, ArchiveSize, ShardIndex, first_tile_id, write_archive
+from skugga.terrain.errors import InputError
 from tests.api.seed import pmtiles_checker
 from tests.api.seed.pmtiles_checker import MAGIC, checked, place_of
 
@@ -111,7 +111,7 @@ def test_many_entries_have_leaf_directories(tmp_path):
 
 
 def test_leaf_directories_grow_until_their_root_fits(tmp_path, monkeypatch):
-    monkeypatch.setattr("api.seed.archive.LEAF_ENTRIES", 1)
+    monkeypatch.setattr("skugga.api.seed.archive.LEAF_ENTRIES", 1)
     rng = np.random.default_rng(7)
     tiles = {i: tile_of(i, int(rng.integers(16, 60))) for i in sorted(rng.choice(4**12, 20_000, replace=False).tolist())}
     write(tmp_path / "a.pmtiles", [tiles], facts_of(0, 12))

@@ -11,8 +11,8 @@ from morecantile import tms
 from pyproj import Transformer
 from shapely import Polygon, box
 
-from api.seed.task_table import TaskTable
-from terrain.level.parts import SunSpec
+from skugga.api.seed.task_table import TaskTable
+from skugga.terrain.level.parts import SunSpec
 from tests.api.seed.runs import Run, rough_ground, write_ground
 
 CELLS, CELL_M, WEST, NORTH = 300, 30.0, 500e3, 5200e3

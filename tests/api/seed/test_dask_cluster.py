@@ -14,13 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from api.seed.dask_cluster import DaskCluster
-from api.seed.planning import plan_run
-from api.seed.running import TaskEnd
-from api.seed.seeding import draw_and_publish
-from api.seed.storage import store_at
-from api.seed.task_table import TaskTable
-from terrain.errors import GraphicsError, InputError, RenderError
+from skugga.api.seed.dask_cluster import DaskCluster
+from skugga.api.seed.planning import plan_run
+from skugga.api.seed.running import TaskEnd
+from skugga.api.seed.seeding import draw_and_publish
+from skugga.api.seed.storage import store_at
+from skugga.api.seed.task_table import TaskTable
+from skugga.terrain.errors import GraphicsError, InputError, RenderError
 from tests.api.seed.runs import Run, rough_ground, write_ground
 from tests.api.seed.test_deaths import render_processes
 from tests.api.seed.test_storage import object_store
@@ -158,14 +158,16 @@ def test_a_scheduler_that_starts_anew_is_given_what_it_had(run, cluster, tmp_pat
 def test_a_slow_worker_gets_less_to_do(run, cluster):
     run.zooms = 11, 15
     cluster.add_worker()
-    slow = "import api.seed.dask_worker as c, time\ndraw = c.kept.draw\nc.kept.draw = lambda *a: (time.sleep(6), draw(*a))[1]"
+    slow = (
+        "import skugga.api.seed.dask_worker as c, time\ndraw = c.kept.draw\nc.kept.draw = lambda *a: (time.sleep(6), draw(*a))[1]"
+    )
     cluster.add_worker(before=slow)
     counts = sorted(Counter(on_cluster(run, cluster)).values())
     assert len(counts) == 2 and counts[0] < counts[1]
 
 
 def test_a_worker_with_another_renderer_is_refused(run, cluster):
-    other = "import api.seed.dask_worker as c\nfrom terrain.errors import GraphicsError\n"
+    other = "import skugga.api.seed.dask_worker as c\nfrom skugga.terrain.errors import GraphicsError\n"
     other += "def refuse(*a): raise GraphicsError('this worker draws with another renderer')\nc.KeptProcess._of = refuse"
     cluster.add_worker(before=other)
     with pytest.raises(GraphicsError, match="no worker of the cluster can draw this run.*another renderer"):

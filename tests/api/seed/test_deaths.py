@@ -26,7 +26,7 @@ ASKED = ("--zooms", "11-15", "--azimuth", "225", "--altitude", "12")
 
 
 def command(folder: Path, output: str, *options: str) -> list[str]:
-    run = "from api.cli.main import main; main()"
+    run = "from skugga.api.cli.main import main; main()"
     return [sys.executable, "-c", run, "seed", str(folder / "dem.tif"), *ASKED, "-o", str(folder / output), *options]
 
 

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from api.seed.local_pool import MOST_FRUITLESS, LocalPool
-from api.seed.messages import LEAST_LIMIT_S, Drawn, NotDrawn, Task
-from api.seed.planning import plan_run
-from api.seed.run_spec import RunSpec
-from api.seed.running import LIMIT_TIMES, TaskEnd, task_of
-from api.seed.seeding import draw_and_publish
-from api.seed.task_table import TaskTable
-from terrain.errors import GraphicsError, RenderError
+from skugga.api.seed.local_pool import MOST_FRUITLESS, LocalPool
+from skugga.api.seed.messages import LEAST_LIMIT_S, Drawn, NotDrawn, Task
+from skugga.api.seed.planning import plan_run
+from skugga.api.seed.run_spec import RunSpec
+from skugga.api.seed.running import LIMIT_TIMES, TaskEnd, task_of
+from skugga.api.seed.seeding import draw_and_publish
+from skugga.api.seed.task_table import TaskTable
+from skugga.terrain.errors import GraphicsError, RenderError
 from tests.api.seed.runs import Run, rough_ground, write_ground
 
 LIMIT_S = 15.0
@@ -86,7 +86,7 @@ def test_a_task_that_always_hangs_is_listed_and_the_others_go_on(run: Run):
 
 @pytest.mark.long
 def test_what_hangs_below_a_clusters_worker_is_replaced(run: Run):
-    from api.seed.dask_worker import KeptProcess
+    from skugga.api.seed.dask_worker import KeptProcess
 
     kept, shards = KeptProcess(), str(run.work / "shards")
     with TaskTable(run.work / "tasks.sqlite") as table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from shadows.render import RENDERER_VERSION
+from skugga.shadows.render import RENDERER_VERSION
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 

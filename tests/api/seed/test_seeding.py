@@ -9,19 +9,19 @@ import pytest
 from pmtiles.reader import MmapSource, Reader
 from pmtiles.tile import tileid_to_zxy
 
-from api.seed import planning
-from api.seed.archive import ShardIndex
-from api.seed.messages import NotDrawn
-from api.seed.publishing import MANIFEST
-from api.seed.running import shard_name
-from api.seed.seeding import FAILED_LIST
-from api.seed.task_table import TaskTable
-from api.workers.jobs import BlockJob, LevelKey
-from api.workers.render_worker import run_job
-from api.workers.worker_state import WorkerState
-from shadows import render
-from terrain.errors import InputError, RenderError
-from terrain.level.parts import SunSpec
+from skugga.api.seed import planning
+from skugga.api.seed.archive import ShardIndex
+from skugga.api.seed.messages import NotDrawn
+from skugga.api.seed.publishing import MANIFEST
+from skugga.api.seed.running import shard_name
+from skugga.api.seed.seeding import FAILED_LIST
+from skugga.api.seed.task_table import TaskTable
+from skugga.api.workers.jobs import BlockJob, LevelKey
+from skugga.api.workers.render_worker import run_job
+from skugga.api.workers.worker_state import WorkerState
+from skugga.shadows import render
+from skugga.terrain.errors import InputError, RenderError
+from skugga.terrain.level.parts import SunSpec
 from tests.api.seed.pmtiles_checker import checked
 from tests.api.seed.runs import LOW_SUN, Run, rough_ground, write_ground
 

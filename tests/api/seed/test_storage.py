@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from api.seed.storage import FolderStore, ShardStore, check_writable, store_at
-from terrain.errors import InputError, RenderError
+from skugga.api.seed.storage import FolderStore, ShardStore, check_writable, store_at
+from skugga.terrain.errors import InputError, RenderError
 
 BUCKET = "skugga-shards"
 

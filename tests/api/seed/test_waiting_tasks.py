@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from api.seed.running import LONGEST_STRETCH, WaitingTasks
+from skugga.api.seed.running import LONGEST_STRETCH, WaitingTasks
 
 
 def handed_out(waiting: WaitingTasks, lanes: int) -> list[list[int]]:

@@ -9,8 +9,8 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from selector.cost.device_profile import DeviceProfile
-from terrain.errors import GraphicsError
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.terrain.errors import GraphicsError
 from tests.api.workers import fake_workers
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from api.workers.jobs import LevelKey
-from selector.cost.device_profile import DeviceProfile
-from selector.map_probes import MapProbes, ProbedClass
-from selector.seen import Seen
-from terrain.errors import RenderError
+from skugga.api.workers.jobs import LevelKey
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.map_probes import MapProbes, ProbedClass
+from skugga.selector.seen import Seen
+from skugga.terrain.errors import RenderError
 
 
 def seen(choice: str = "shadow_map 1024", error: float = 0.01, ms: float = 20.0) -> Seen:

@@ -11,8 +11,8 @@ from multiprocessing.synchronize import Semaphore
 
 import numpy as np
 
-from api.workers.block_tiles import BLOCK_TILES
-from api.workers.jobs import (
+from skugga.api.workers.block_tiles import BLOCK_TILES
+from skugga.api.workers.jobs import (
     BlockJob,
     BlockTiles,
     CarriedPlans,
@@ -28,10 +28,10 @@ from api.workers.jobs import (
     Preparing,
     Ready,
 )
-from api.workers.plan_basis import PlanBasis
-from api.workers.worker_config import WorkerConfig
-from selector.map_probes import MapClass
-from terrain.errors import GraphicsError, InputError, RenderError
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.worker_config import WorkerConfig
+from skugga.selector.map_probes import MapClass
+from skugga.terrain.errors import GraphicsError, InputError, RenderError
 
 RENDERER, VERSION = "fake", "1"
 UNPROBED = MapClass(4, -1)

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from api.workers.child_process import ChildProcess
-from api.workers.spawned import PipedProcess
+from skugga.api.workers.child_process import ChildProcess
+from skugga.api.workers.spawned import PipedProcess
 
 
 def echo(pipe: Connection, word: str) -> None:

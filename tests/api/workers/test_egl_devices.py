@@ -13,15 +13,15 @@ from pathlib import Path
 
 import pytest
 
-from api.seed import local_pool
-from api.workers.jobs import Ready
-from api.workers.pool import Pool
-from api.workers.worker_config import WorkerConfig
+from skugga.api.seed import local_pool
+from skugga.api.workers.jobs import Ready
+from skugga.api.workers.pool import Pool
+from skugga.api.workers.worker_config import WorkerConfig
 from tests.api.http.test_serve import ROOT
 from tests.api.workers.test_pool import until, with_pool
 from tests.terrain.gl.egl_machines import two_mesas
 
-SERVE = "import sys; from api.cli.main import main; sys.argv[0] = 'skugga'; main()"
+SERVE = "import sys; from skugga.api.cli.main import main; sys.argv[0] = 'skugga'; main()"
 
 
 def numbered(pipe: Connection, config: WorkerConfig) -> None:

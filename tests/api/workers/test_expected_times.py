@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
-from api.sun_hours_layer import SunHoursQuery
-from api.workers.expected_times import FIRST_GUESS_S, USUAL_PX, ExpectedTimes
-from api.workers.jobs import Job, LevelKey, MapJob
+from skugga.api.sun_hours_layer import SunHoursQuery
+from skugga.api.workers.expected_times import FIRST_GUESS_S, USUAL_PX, ExpectedTimes
+from skugga.api.workers.jobs import Job, LevelKey, MapJob
 
 LEVEL = LevelKey(path=Path("hills.yaml"), version="1")
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from api.errors import LaterError
-from api.settings import Settings
-from api.workers.admission import check_admission, is_tile, retry_after_s
-from api.workers.job_queue import JobQueue, PendingJob
-from api.workers.jobs import BlockJob, Job, MapJob, PlanJob, SnapshotJob
+from skugga.api.errors import LaterError
+from skugga.api.settings import Settings
+from skugga.api.workers.admission import check_admission, is_tile, retry_after_s
+from skugga.api.workers.job_queue import JobQueue, PendingJob
+from skugga.api.workers.jobs import BlockJob, Job, MapJob, PlanJob, SnapshotJob
 from tests.api.workers.test_pool import LEVEL, block
 
 SETTINGS = Settings(workers=1, queue_timeout_s=20.0)

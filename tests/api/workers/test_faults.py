@@ -11,7 +11,7 @@ from multiprocessing import get_context
 
 import pytest
 
-from api.workers.worker_main import worker_main
+from skugga.api.workers.worker_main import worker_main
 from tests.api.conftest import CORNER, ZOOM, Client
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers

@@ -17,20 +17,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from api.errors import LaterError, WorkerCrashError
-from api.workers import film_jobs
-from api.workers.expected_times import ExpectedTimes
-from api.workers.job_queue import BEHIND_S, JobQueue, PendingJob
-from api.workers.jobs import CarriedPlans, FilmPicture, FrameJob, PictureRequest
-from api.workers.plan_basis import PlanBasis
-from api.workers.pool import Pool
-from selector.film import film_frames, frame_moments
-from selector.film_request import FilmRequest, FilmSpan
-from selector.replanning import Replanner
-from selector.select import select
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.api.errors import LaterError, WorkerCrashError
+from skugga.api.workers import film_jobs
+from skugga.api.workers.expected_times import ExpectedTimes
+from skugga.api.workers.job_queue import BEHIND_S, JobQueue, PendingJob
+from skugga.api.workers.jobs import CarriedPlans, FilmPicture, FrameJob, PictureRequest
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.pool import Pool
+from skugga.selector.film import film_frames, frame_moments
+from skugga.selector.film_request import FilmRequest, FilmSpan
+from skugga.selector.replanning import Replanner
+from skugga.selector.select import select
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 from tests.api.conftest import write_level
 from tests.api.workers import fake_workers
 from tests.api.workers.test_pool import LEVEL, SOON_S, block, order, until, with_pool

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from api.workers import idle_work
-from api.workers.idle_work import IdleJob
-from api.workers.jobs import BlockTiles, LevelKey
-from api.workers.plan_basis import PlanBasis
-from api.workers.pool import Pool
+from skugga.api.workers import idle_work
+from skugga.api.workers.idle_work import IdleJob
+from skugga.api.workers.jobs import BlockTiles, LevelKey
+from skugga.api.workers.plan_basis import PlanBasis
+from skugga.api.workers.pool import Pool
 from tests.api.workers import fake_workers
 from tests.api.workers.fake_calibrations import profile
 from tests.api.workers.test_pool import LEVEL, Gate, block, until, with_pool

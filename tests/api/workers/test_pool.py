@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from api.errors import WorkerCrashError, WorkerStartError
-from api.settings import Settings
-from api.workers import background_compile
-from api.workers.jobs import BlockJob, BlockTiles, LevelKey, PlanAnswer, PlanJob, Preparing
-from api.workers.pool import Pool
-from terrain.compiling.ahead import PRODUCTS
-from terrain.errors import BusyError, GraphicsError, InputError, RenderError, RenderTimeoutError
+from skugga.api.errors import WorkerCrashError, WorkerStartError
+from skugga.api.settings import Settings
+from skugga.api.workers import background_compile
+from skugga.api.workers.jobs import BlockJob, BlockTiles, LevelKey, PlanAnswer, PlanJob, Preparing
+from skugga.api.workers.pool import Pool
+from skugga.terrain.compiling.ahead import PRODUCTS
+from skugga.terrain.errors import BusyError, GraphicsError, InputError, RenderError, RenderTimeoutError
 from tests.api.workers import fake_workers
 
 LEVEL = LevelKey(path=Path("level.yaml"), version="1")

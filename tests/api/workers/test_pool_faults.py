@@ -10,16 +10,16 @@ import time
 
 import pytest
 
-from api.errors import LaterError, SetAsideError, WorkerCrashError
-from api.workers import pool as pool_module
-from api.workers import spawned, worker_process
-from api.workers.expected_times import ExpectedTimes
-from api.workers.job_queue import JobQueue, PendingJob
-from api.workers.jobs import BlockJob, LevelKey, PictureRequest, PlanAnswer, RequestedSettings, SnapshotJob
-from api.workers.pool import Pool
-from api.workers.process_life import is_stopped
-from api.workers.set_aside import SetAside
-from terrain.errors import RenderTimeoutError
+from skugga.api.errors import LaterError, SetAsideError, WorkerCrashError
+from skugga.api.workers import pool as pool_module
+from skugga.api.workers import spawned, worker_process
+from skugga.api.workers.expected_times import ExpectedTimes
+from skugga.api.workers.job_queue import JobQueue, PendingJob
+from skugga.api.workers.jobs import BlockJob, LevelKey, PictureRequest, PlanAnswer, RequestedSettings, SnapshotJob
+from skugga.api.workers.pool import Pool
+from skugga.api.workers.process_life import is_stopped
+from skugga.api.workers.set_aside import SetAside
+from skugga.terrain.errors import RenderTimeoutError
 from tests.api.workers import fake_workers
 from tests.api.workers.test_pool import LEVEL, Gate, block, order, until, with_pool
 
@@ -265,9 +265,12 @@ child = subprocess.Popen([sys.executable, "-c", sys.argv[1]], stdout=subprocess.
 print(child.pid, child.stdout.readline().strip(), flush=True)
 sys.stdin.read()
 """
-CHILD = (
-    "from terrain.compiling.parent_process import end_with_parent; end_with_parent(); print('busy', flush=True)\nwhile True: pass"
-)
+CHILD = """
+from skugga.terrain.compiling.parent_process import end_with_parent
+end_with_parent()
+print('busy', flush=True)
+while True: pass
+"""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's own")

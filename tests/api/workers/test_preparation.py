@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from api.http.first_blocks import first_block, first_blocks
-from api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevels
-from api.workers import preparation
-from api.workers.preparation import prepare_level
-from api.workers.worker_state import WorkerState
+from skugga.api.http.first_blocks import first_block, first_blocks
+from skugga.api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevels
+from skugga.api.workers import preparation
+from skugga.api.workers.preparation import prepare_level
+from skugga.api.workers.worker_state import WorkerState
 from tests.api.conftest import write_level
 
 

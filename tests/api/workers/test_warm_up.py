@@ -1,8 +1,8 @@
 import pytest
 
-from api.workers import warm_up as module
-from api.workers.warm_up import warm_up
-from terrain.errors import GraphicsError
+from skugga.api.workers import warm_up as module
+from skugga.api.workers.warm_up import warm_up
+from skugga.terrain.errors import GraphicsError
 
 
 def test_a_wall_casts_its_shadow_where_it_belongs(gl):

@@ -9,16 +9,16 @@ import pytest
 
 from benchmarks.selection.fit import KINDS, MAP_ALGORITHMS, START, FitCase, _model, _Terms, cases_of, fit_model
 from benchmarks.selection.policies import FOLDS, held_out_views, terrains
-from selector.belief import SharedVariance
-from selector.cost.error_model import LEAST, LEAST_INTERIOR, LEAST_SPREAD, ErrorModel, HillCurve, SharedErrors, error_groups
-from shadows.maps.settings import Cascade, PerspectiveMapSettings, ShadowMapSettings
-from shadows.plan import Step
-from shadows.sweep.settings import SweepSettings
-from shadows.sweep.sweep import DECIMATED
-from shadows.volumes.settings import VolumeSettings
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import CastBand, Casting, LightFacts
-from terrain.level.level import SUN, CasterKind
+from skugga.selector.belief import SharedVariance
+from skugga.selector.cost.error_model import LEAST, LEAST_INTERIOR, LEAST_SPREAD, ErrorModel, HillCurve, SharedErrors, error_groups
+from skugga.shadows.maps.settings import Cascade, PerspectiveMapSettings, ShadowMapSettings
+from skugga.shadows.plan import Step
+from skugga.shadows.sweep.settings import SweepSettings
+from skugga.shadows.sweep.sweep import DECIMATED
+from skugga.shadows.volumes.settings import VolumeSettings
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import CastBand, Casting, LightFacts
+from skugga.terrain.level.level import SUN, CasterKind
 
 CAST = 0.4
 SIZES = (512, 1024, 2048, 4096)

@@ -20,7 +20,7 @@ from benchmarks.selection.judge import (
     single_best,
     stand_in,
 )
-from shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.truth.metrics import MOST_INTERIOR
 
 Figures = dict[str, Any]
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from benchmarks.selection.measure import rows_of
-from selector.choices import StandaloneRequest
-from selector.planner.planner import make_plan
-from shadows.plan import Plan
-from terrain.level.level import SUN, Shadows
+from skugga.selector.choices import StandaloneRequest
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.plan import Plan
+from skugga.terrain.level.level import SUN, Shadows
 from tests.selector.cost.test_cost_model import described
 
 

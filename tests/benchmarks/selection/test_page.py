@@ -8,8 +8,8 @@ import pytest
 from benchmarks.selection.fit import cases_of, fit_model
 from benchmarks.selection.page import END, START, page, with_tables
 from benchmarks.selection.table import read_table
-from selector.cost.error_model import ErrorModel
-from selector.cost.error_model import packaged_model as of_the_package
+from skugga.selector.cost.error_model import ErrorModel
+from skugga.selector.cost.error_model import packaged_model as of_the_package
 
 PAGE = Path(__file__).parents[3] / "docs" / "selection.md"
 

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 from benchmarks.selection.table import DIGITS, ROW_COLUMNS, TABLE, read_table, write_table
-from selector.choices import StandaloneRequest
-from selector.cost.device_profile import DeviceProfile
-from selector.planner.planner import planner_of
-from selector.portfolio import MAX_CHOICES, portfolio
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import CastBand, Casting, LightFacts
-from terrain.level.level import SUN, Shadows
+from skugga.selector.choices import StandaloneRequest
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.planner.planner import planner_of
+from skugga.selector.portfolio import MAX_CHOICES, portfolio
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import CastBand, Casting, LightFacts
+from skugga.terrain.level.level import SUN, Shadows
 
 DEVICE = DeviceProfile(
     renderer="a device", version="1", cpus=2, engine="0", measured=datetime(2025, 1, 1, tzinfo=UTC), took_s=1.25,

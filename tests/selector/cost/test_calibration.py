@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.cost import calibration
-from selector.cost.calibration import calibrate, fitted_rates
-from selector.cost.calibration_scenes import calibration_levels, calibration_views
-from selector.cost.cost_model import counts_to_ms
-from selector.cost.device_profile import DeviceProfile, load_profile, missing_profile_reason, profile_path, save_profile
+from skugga.selector.cost import calibration
+from skugga.selector.cost.calibration import calibrate, fitted_rates
+from skugga.selector.cost.calibration_scenes import calibration_levels, calibration_views
+from skugga.selector.cost.cost_model import counts_to_ms
+from skugga.selector.cost.device_profile import DeviceProfile, load_profile, missing_profile_reason, profile_path, save_profile
 
 RENDERER, VERSION = "llvmpipe (LLVM 15.0.6, 256 bits)", "4.5 Mesa 22"
 

@@ -9,21 +9,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.choices import StandaloneRequest
-from selector.cost.cost_model import predicted_ms, predicted_parts_ms, work_of
-from selector.cost.device_profile import DeviceProfile
-from selector.cost.unmeasured import UnmeasuredError
-from selector.planner.planner import make_plan
-from selector.portfolio import portfolio
-from shadows.hybrid.settings import HybridSettings
-from shadows.maps.resolve import sun_map_settings
-from shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
-from shadows.maps.work import sun_windows
-from shadows.sweep.settings import SweepSettings
-from shadows.volumes.settings import VolumeSettings
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Band, CasterFacts, LampFacts, LightFacts
-from terrain.level.level import SUN, Shadows
+from skugga.selector.choices import StandaloneRequest
+from skugga.selector.cost.cost_model import predicted_ms, predicted_parts_ms, work_of
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.selector.cost.unmeasured import UnmeasuredError
+from skugga.selector.planner.planner import make_plan
+from skugga.selector.portfolio import portfolio
+from skugga.shadows.hybrid.settings import HybridSettings
+from skugga.shadows.maps.resolve import sun_map_settings
+from skugga.shadows.maps.settings import Cascade, LampMapSettings, ShadowMapSettings
+from skugga.shadows.maps.work import sun_windows
+from skugga.shadows.sweep.settings import SweepSettings
+from skugga.shadows.volumes.settings import VolumeSettings
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Band, CasterFacts, LampFacts, LightFacts
+from skugga.terrain.level.level import SUN, Shadows
 
 BODIES = CasterFacts(kind="meshes", count=10, triangles=1000, closed_share=1.0, height_m=4.0, width_m=5.0)
 GROUND = CasterFacts(kind="relief", triangles=20_000, outside_triangles=0)
@@ -95,7 +95,7 @@ def test_counts_of_a_shadow_map_are_what_its_passes_do():
 
 
 def test_samples_where_something_ends_are_work_like_pixels():
-    """Four samples for each such pixel, or two where there are many (``terrain.gbuffer.antialias``)."""
+    """Four samples for each such pixel, or two where there are many (``skugga.terrain.gbuffer.antialias``)."""
     plain = work_of(described(), SUN, ("meshes",), "shadow_map", one_map(1024, 0.25))["shadow_map, perspective"]
     for share, more in ((0.1, 0.4), (0.3, 0.6)):
         edged = described(edge_share=share)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.belief import SharedVariance
-from selector.cost.error_model import (
+from skugga.selector.belief import SharedVariance
+from skugga.selector.cost.error_model import (
     LEAST,
     LEAST_INTERIOR,
     LEAST_SPREAD,
@@ -26,18 +26,18 @@ from selector.cost.error_model import (
     smoothed_ladder,
     texel_px_of,
 )
-from shadows.hybrid.settings import HybridSettings
-from shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
-from shadows.plan import Step
-from shadows.sweep.settings import SweepSettings
-from shadows.sweep.sweep import DECIMATED
-from shadows.truth.metrics import MOST_INTERIOR
-from shadows.volumes.settings import VolumeSettings
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
-from terrain.facts.probes import HALF_A_HIT
-from terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
-from terrain.level.level import SUN
+from skugga.shadows.hybrid.settings import HybridSettings
+from skugga.shadows.maps.settings import Cascade, LampMapSettings, PerspectiveMapSettings, ShadowMapSettings
+from skugga.shadows.plan import Step
+from skugga.shadows.sweep.settings import SweepSettings
+from skugga.shadows.sweep.sweep import DECIMATED
+from skugga.shadows.truth.metrics import MOST_INTERIOR
+from skugga.shadows.volumes.settings import VolumeSettings
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX, CastBand, CasterFacts, Casting, LampFacts, LightFacts
+from skugga.terrain.facts.probes import HALF_A_HIT
+from skugga.terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
+from skugga.terrain.level.level import SUN
 
 PROPORTIONAL = tuple(px / 320.0 for px in TEXEL_LADDER_PX)
 """Shadows with an edge every few hundred pixels: what differs grows as the texel does."""

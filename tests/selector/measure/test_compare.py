@@ -9,23 +9,23 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from api.catalogue import find_level
-from selector.candidates import MAX_CANDIDATES, candidates, name_of
-from selector.measure.compare import COUNTERS, Comparison, compare, drawn_on, measure_plan, run_light
-from selector.measure.footprint import texel_footprint_px
-from shadows.attached import attached
-from shadows.maps.texels import texel_on_level_ground_m
-from shadows.passes import PassLog
-from shadows.render import render_frame
-from shadows.truth.metrics import soft_error
-from shadows.visibility import fill_steps, without_hidden_points
-from terrain.cache import clear_caches
-from terrain.casters.reach import casters_of
-from terrain.errors import InputError
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.selector.candidates import MAX_CANDIDATES, candidates, name_of
+from skugga.selector.measure.compare import COUNTERS, Comparison, compare, drawn_on, measure_plan, run_light
+from skugga.selector.measure.footprint import texel_footprint_px
+from skugga.shadows.attached import attached
+from skugga.shadows.maps.texels import texel_on_level_ground_m
+from skugga.shadows.passes import PassLog
+from skugga.shadows.render import render_frame
+from skugga.shadows.truth.metrics import soft_error
+from skugga.shadows.visibility import fill_steps, without_hidden_points
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.errors import InputError
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.metrics import soft_truth
 from tests.render import plan_of
 

@@ -7,18 +7,18 @@ import json
 import numpy as np
 import pytest
 
-from api.catalogue import find_level
-from selector.measure.point_truth import PictureTruth, PointCounts, lattice_offsets, share_interval
-from selector.measure.view_truth import TRUTH_SAMPLES
-from shadows.render import render_frame
-from shadows.truth.metrics import errors_of
-from shadows.truth.truth import ALL_KINDS, ray_scene, truth_of
-from terrain.casters.reach import casters_of
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.subsampled import subsampled_points, subsampled_view
-from terrain.level.level import SUN, load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.selector.measure.point_truth import PictureTruth, PointCounts, lattice_offsets, share_interval
+from skugga.selector.measure.view_truth import TRUTH_SAMPLES
+from skugga.shadows.render import render_frame
+from skugga.shadows.truth.metrics import errors_of
+from skugga.shadows.truth.truth import ALL_KINDS, ray_scene, truth_of
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.subsampled import subsampled_points, subsampled_view
+from skugga.terrain.level.level import SUN, load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.render import plan_of
 
 EYE = {"kind": "perspective", "eye": [-30, -48, 15], "target": [3, 2, 2], "fov": 45, "size": [240, 192]}

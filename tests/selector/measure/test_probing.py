@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.belief import SharedVariance
-from selector.choices import Choice
-from selector.cost.error_model import ExpectedErrors, SharedErrors, packaged_model
-from selector.measure.point_truth import share_interval
-from selector.measure.probing import Proof, expected_gain, leader_of, probed
-from selector.options import LightOptions, PredictedChoice
-from shadows.plan import Step
-from terrain.level.level import SUN
+from skugga.selector.belief import SharedVariance
+from skugga.selector.choices import Choice
+from skugga.selector.cost.error_model import ExpectedErrors, SharedErrors, packaged_model
+from skugga.selector.measure.point_truth import share_interval
+from skugga.selector.measure.probing import Proof, expected_gain, leader_of, probed
+from skugga.selector.options import LightOptions, PredictedChoice
+from skugga.shadows.plan import Step
+from skugga.terrain.level.level import SUN
 
 SHARED = SharedVariance(view=0.5, family=0.25)
 MODEL = packaged_model().model_copy(

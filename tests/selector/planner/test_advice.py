@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.choices import Choice, StandaloneRequest
-from selector.planner import advice
-from selector.planner.advice import NO_RULE, choices_by_rules
-from selector.planner.advice_rules import (
+from skugga.selector.choices import Choice, StandaloneRequest
+from skugga.selector.planner import advice
+from skugga.selector.planner.advice import NO_RULE, choices_by_rules
+from skugga.selector.planner.advice_rules import (
     BEHIND_DEG,
     CLOSED_SHARE,
     COARSE_TEXEL_PX,
@@ -29,14 +29,14 @@ from selector.planner.advice_rules import (
     USUAL_TEXELS,
     RuleInput,
 )
-from selector.planner.planner import make_plan
-from shadows.bent_rays import MAX_STRAIGHT_M
-from shadows.registry import can_serve
-from terrain.describe import describe
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import CasterFacts, LightFacts
-from terrain.level.level import Shadows, load_level
-from terrain.scene import build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.bent_rays import MAX_STRAIGHT_M
+from skugga.shadows.registry import can_serve
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import CasterFacts, LightFacts
+from skugga.terrain.level.level import Shadows, load_level
+from skugga.terrain.scene import build_scene
 
 TEXEL_M = 0.5
 """Of the usual map over what a hand-written view shows."""

@@ -6,11 +6,11 @@ import json
 
 import pytest
 
-from selector.planner.planner import make_plan
-from terrain.describe import describe
-from terrain.errors import UnsupportedError
-from terrain.level.level import SunSpec, load_level
-from terrain.scene import build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.level.level import SunSpec, load_level
+from skugga.terrain.scene import build_scene
 
 PINS = [
     {"view": "eye", "sun_altitude_deg": [5, 20], "algorithm": {"meshes": "shadow_volume"}},

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import pytest
 
-from selector.choices import Choice
-from selector.planner.planner import make_plan
-from shadows.maps import shadow_map
-from shadows.plan import Plan
-from shadows.registry import ALGORITHMS
-from terrain.describe import describe
-from terrain.errors import RenderError, UnsupportedError
-from terrain.level.level import Level, Shadows, SunSpec, load_level
-from terrain.scene import Scene, build_scene
+from skugga.selector.choices import Choice
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.maps import shadow_map
+from skugga.shadows.plan import Plan
+from skugga.shadows.registry import ALGORITHMS
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import RenderError, UnsupportedError
+from skugga.terrain.level.level import Level, Shadows, SunSpec, load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.render import block_at, plan_of, render
 
 

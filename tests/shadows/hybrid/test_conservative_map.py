@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shadows.hybrid.conservative_map import (
+from skugga.shadows.hybrid.conservative_map import (
     LIT,
     MASKED,
     SHADED,
@@ -17,7 +17,7 @@ from shadows.hybrid.conservative_map import (
     clipped_triangles,
     conservative_map,
 )
-from shadows.hybrid.conservative_raster import MAX_DEPTH_RUNS
+from skugga.shadows.hybrid.conservative_raster import MAX_DEPTH_RUNS
 
 SIZE = 12
 GRID = 2**16

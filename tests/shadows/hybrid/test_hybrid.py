@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shadows.passes import PassLog, PassRecord
-from shadows.truth.truth import Truth
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.shadows.passes import PassLog, PassRecord
+from skugga.shadows.truth.truth import Truth
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 from tests.params import quick
 from tests.render import block_at
 from tests.shadows.boxes import box, level_of

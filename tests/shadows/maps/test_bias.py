@@ -7,13 +7,13 @@ import pytest
 import trimesh
 from scipy.ndimage import binary_dilation
 
-from shadows.attached import attached
-from shadows.truth.truth import Truth, truth_of
-from terrain.casters.reach import casters_of
-from terrain.errors import InputError
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import MESHES, RELIEF
+from skugga.shadows.attached import attached
+from skugga.shadows.truth.truth import Truth, truth_of
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.errors import InputError
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import MESHES, RELIEF
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
 from tests.shadows.boxes import box, level_of, visibility

@@ -10,23 +10,23 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.planner.planner import make_plan
-from shadows.attached import attached
-from shadows.maps import shadow_map
-from shadows.maps.resolve import CASCADE_PX, LARGEST_MAP
-from shadows.passes import PassLog
-from shadows.plan import Plan
-from shadows.truth.metrics import errors_of
-from shadows.truth.truth import truth_of
-from shadows.visibility import receivers_of
-from terrain.casters.reach import casters_of
-from terrain.describe import describe
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import Band
-from terrain.gbuffer.picture import geometry_of
-from terrain.level.level import Level, load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.attached import attached
+from skugga.shadows.maps import shadow_map
+from skugga.shadows.maps.resolve import CASCADE_PX, LARGEST_MAP
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.truth.metrics import errors_of
+from skugga.shadows.truth.truth import truth_of
+from skugga.shadows.visibility import receivers_of
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import Band
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.level.level import Level, load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 
 SIZE = [320, 240]
 EYE_M = np.array([-9692.0, -11_000.0])

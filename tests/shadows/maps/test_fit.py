@@ -7,24 +7,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.planner.planner import make_plan
-from shadows.attached import attached
-from shadows.maps import shadow_map
-from shadows.maps.windows import MAP_BORDER_TEXELS, DepthMap, sun_maps
-from shadows.passes import PassLog
-from shadows.plan import Plan
-from shadows.truth.metrics import errors_of
-from shadows.truth.truth import truth_of
-from shadows.visibility import receivers_of
-from terrain.casters.reach import casters_of
-from terrain.describe import describe
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.geo.grid import MapView
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.attached import attached
+from skugga.shadows.maps import shadow_map
+from skugga.shadows.maps.windows import MAP_BORDER_TEXELS, DepthMap, sun_maps
+from skugga.shadows.passes import PassLog
+from skugga.shadows.plan import Plan
+from skugga.shadows.truth.metrics import errors_of
+from skugga.shadows.truth.truth import truth_of
+from skugga.shadows.visibility import receivers_of
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.metrics import flicker
 
 SHIFTS = [(1, 0), (0, 1), (7, -3), (31, 17)]

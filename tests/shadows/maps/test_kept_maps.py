@@ -16,14 +16,14 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.planner.planner import make_plan
-from shadows.plan import Plan
-from shadows.render import Frame, render_frame
-from terrain.describe import describe
-from terrain.gl.depth_targets import MAX_TARGET_BYTES, MAX_TARGETS, DepthTargets, depth_bytes
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import Frame, render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.gl.depth_targets import MAX_TARGET_BYTES, MAX_TARGETS, DepthTargets, depth_bytes
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
 

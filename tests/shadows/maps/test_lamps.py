@@ -10,14 +10,14 @@ import pytest
 import shapely
 import trimesh
 
-from shadows.attached import attached
-from shadows.render import Frame
-from shadows.truth.metrics import MOST_INTERIOR, errors_of
-from shadows.truth.truth import truth_of
-from terrain.casters.reach import casters_of
-from terrain.describe import describe
-from terrain.gbuffer.picture import geometry_of
-from terrain.scene import Scene
+from skugga.shadows.attached import attached
+from skugga.shadows.render import Frame
+from skugga.shadows.truth.metrics import MOST_INTERIOR, errors_of
+from skugga.shadows.truth.truth import truth_of
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import render, render_points
 

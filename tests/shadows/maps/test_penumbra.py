@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, minimum_filter
 
-from shadows.area_light import sun_disc
-from shadows.attached import attached
-from shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGES, WIDEST_TEXELS, samples_before_edges
-from terrain.casters.reach import casters_of
-from terrain.errors import UnsupportedError
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import MESHES
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.shadows.area_light import sun_disc
+from skugga.shadows.attached import attached
+from skugga.shadows.maps.sun_disc import DISC_SAMPLES, DISC_TANGENT, EDGES, WIDEST_TEXELS, samples_before_edges
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import MESHES
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.metrics import soft_truth
 from tests.params import quick
 from tests.rasters import ENGINEERING

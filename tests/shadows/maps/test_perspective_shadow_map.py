@@ -11,22 +11,22 @@ import pytest
 import shapely
 import trimesh
 
-from selector.measure.compare import measure_plan
-from shadows.attached import attached
-from shadows.maps import perspective_shadow_map
-from shadows.maps.post_perspective import CONE_DEG
-from shadows.maps.settings import PerspectiveMapSettings
-from shadows.passes import PassLog
-from shadows.truth.metrics import MOST_INTERIOR, errors_of
-from shadows.truth.truth import coverage_truth, truth_of
-from shadows.visibility import receivers_of
-from terrain.casters.reach import casters_of
-from terrain.describe import describe
-from terrain.errors import UnsupportedError
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.selector.measure.compare import measure_plan
+from skugga.shadows.attached import attached
+from skugga.shadows.maps import perspective_shadow_map
+from skugga.shadows.maps.post_perspective import CONE_DEG
+from skugga.shadows.maps.settings import PerspectiveMapSettings
+from skugga.shadows.passes import PassLog
+from skugga.shadows.truth.metrics import MOST_INTERIOR, errors_of
+from skugga.shadows.truth.truth import coverage_truth, truth_of
+from skugga.shadows.visibility import receivers_of
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 from tests.shadows.boxes import box, level_of

@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from api.catalogue import find_level
-from shadows.maps import drawing, point_lookup
-from shadows.maps import lookup as lookup_module
-from shadows.maps.trees_that_matter import trees_that_matter
-from shadows.maps.windows import DepthMap
-from shadows.render import Frame
-from terrain.cache import clear_caches
-from terrain.geo.camera import PerspectiveView
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.shadows.maps import drawing, point_lookup
+from skugga.shadows.maps import lookup as lookup_module
+from skugga.shadows.maps.trees_that_matter import trees_that_matter
+from skugga.shadows.maps.windows import DepthMap
+from skugga.shadows.render import Frame
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.render import render
 
 SUN = SunSpec(azimuth=199, altitude=21)

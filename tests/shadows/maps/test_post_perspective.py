@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shadows.maps.post_perspective import (
+from skugga.shadows.maps.post_perspective import (
     CONE_DEG,
     Camera,
     Light,

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from api.catalogue import find_level
-from selector.planner.planner import make_plan
-from shadows.maps.settings import Cascade
-from shadows.maps.taps import DISC_WIDTH, FINE, fine_share, sun_taps
-from terrain.describe import describe
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import CastBand, Casting, LightFacts
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.api.catalogue import find_level
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.maps.settings import Cascade
+from skugga.shadows.maps.taps import DISC_WIDTH, FINE, fine_share, sun_taps
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import CastBand, Casting, LightFacts
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 
 
 def seen(**casts: Casting) -> Descriptor:

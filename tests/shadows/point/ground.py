@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from shadows.point.horizon import Surroundings, surroundings
-from shadows.point.place import place_at
-from terrain.scene import Scene
+from skugga.shadows.point.horizon import Surroundings, surroundings
+from skugga.shadows.point.place import place_at
+from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 
 CELL_M = 10.0

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from pyproj import CRS, Proj
 
-from shadows.point import relief_pages
-from shadows.point.horizon_walk import NO_GROUND, ground_hides, relief_horizon
-from shadows.point.place import place_at
-from terrain.casters.rays import RayScene
-from terrain.errors import InputError
-from terrain.geo.sun import direction_enu
-from terrain.geo.world import WGS84
+from skugga.shadows.point import relief_pages
+from skugga.shadows.point.horizon_walk import NO_GROUND, ground_hides, relief_horizon
+from skugga.shadows.point.place import place_at
+from skugga.terrain.casters.rays import RayScene
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.sun import direction_enu
+from skugga.terrain.geo.world import WGS84
 from tests.shadows.point.ground import at_middle, flat_world, round_the_middle
 
 AZIMUTHS = np.arange(720) * 0.5

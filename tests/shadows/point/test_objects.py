@@ -7,16 +7,16 @@ import json
 import numpy as np
 import pytest
 
-from shadows.point.horizon import horizon_round, sun_reaches, surroundings, what_hides
-from shadows.point.place import place_at
-from shadows.truth.truth import truth_of
-from terrain.casters.rays import RayScene, trees_as_mesh
-from terrain.casters.reach import casters_of
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import RELIEF
-from terrain.gbuffer.tree_instances import tree_instances_in_map
-from terrain.geo.sun import direction_enu, position_at
-from terrain.level.parts import SunSpec
+from skugga.shadows.point.horizon import horizon_round, sun_reaches, surroundings, what_hides
+from skugga.shadows.point.place import place_at
+from skugga.shadows.truth.truth import truth_of
+from skugga.terrain.casters.rays import RayScene, trees_as_mesh
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.gbuffer.tree_instances import tree_instances_in_map
+from skugga.terrain.geo.sun import direction_enu, position_at
+from skugga.terrain.level.parts import SunSpec
 from tests.rasters import ENGINEERING, write_geotiff
 
 

@@ -7,15 +7,15 @@ from datetime import UTC, date, datetime, timedelta
 import numpy as np
 import pytest
 
-from shadows.point.clock import clock_of, solar_clock
-from shadows.point.horizon import sun_reaches, surroundings
-from shadows.point.place import place_at
-from shadows.point.sun_angles import angles_at, sun_directions
-from shadows.point.sun_day import hours_between_looks, sun_day
-from shadows.point.sun_year import sun_year
-from terrain.errors import InputError
-from terrain.geo.clock import day_ends
-from terrain.geo.sun import apparent_position
+from skugga.shadows.point.clock import clock_of, solar_clock
+from skugga.shadows.point.horizon import sun_reaches, surroundings
+from skugga.shadows.point.place import place_at
+from skugga.shadows.point.sun_angles import angles_at, sun_directions
+from skugga.shadows.point.sun_day import hours_between_looks, sun_day
+from skugga.shadows.point.sun_year import sun_year
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.clock import day_ends
+from skugga.terrain.geo.sun import apparent_position
 
 DAY = date(2024, 10, 21)
 

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from api.shade import raster_view
 from benchmarks.sun_hours_accuracy import ray_truth
 from benchmarks.sweep_speed import mountains
-from shadows.sun_hours.sight_walks import WalkedGround, horizon_tangent, walked_ground
-from shadows.sun_hours.sun_hours import SunRules, sun_hours
-from shadows.sun_hours.suns import window_suns
-from shadows.sweep.horizon import horizon_deg
-from terrain.casters.reach import PATCH_QUADS, Patch
-from terrain.gbuffer.bare_nodes import bare_nodes
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.shade import raster_view
+from skugga.shadows.sun_hours.sight_walks import WalkedGround, horizon_tangent, walked_ground
+from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
+from skugga.shadows.sun_hours.suns import window_suns
+from skugga.shadows.sweep.horizon import horizon_deg
+from skugga.terrain.casters.reach import PATCH_QUADS, Patch
+from skugga.terrain.gbuffer.bare_nodes import bare_nodes
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
 from tests.shadows.sun_hours.test_sun_hours import SPRING, cells_of, no_plan, window_of
 
@@ -122,6 +122,6 @@ def test_crossings_in_steps_of_15_minutes_are_those_of_rays(opened, monkeypatch)
         return float(60.0 * np.abs(answer.hours[row, col] - hours).mean())
 
     walked = wrong_min()
-    monkeypatch.setattr("shadows.sun_hours.sun_hours.WALKED_MIN", np.inf)
+    monkeypatch.setattr("skugga.shadows.sun_hours.sun_hours.WALKED_MIN", np.inf)
     guessed = wrong_min()
     assert walked < 1.0 and walked < 0.5 * guessed

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from api.shade import raster_view
-from shadows.sun_hours.steps import LONG_STEP_MIN, SHORT_STEP_MIN, missed_minutes, step_for
-from shadows.sun_hours.sun_hours import SunRules, sun_hours
-from shadows.sun_hours.suns import window_suns
-from terrain.gbuffer.bare_nodes import bare_nodes
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.api.shade import raster_view
+from skugga.shadows.sun_hours.steps import LONG_STEP_MIN, SHORT_STEP_MIN, missed_minutes, step_for
+from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
+from skugga.shadows.sun_hours.suns import window_suns
+from skugga.terrain.gbuffer.bare_nodes import bare_nodes
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import write_geotiff
 from tests.shadows.sun_hours.test_sun_hours import SPRING, no_plan, window_of
 

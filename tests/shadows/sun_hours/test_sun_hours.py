@@ -13,14 +13,14 @@ from pyproj import Geod, Transformer
 
 from benchmarks.sun_hours_accuracy import ray_truth
 from benchmarks.sweep_speed import mountains
-from shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
-from shadows.sun_hours.suns import sun_spans, window_suns
-from terrain.geo.clock import SOLAR, Clock
-from terrain.geo.daily_windows import DailyWindow, daily_window
-from terrain.geo.grid import Grid, MapView
-from terrain.geo.sun_path import sun_path
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
+from skugga.shadows.sun_hours.suns import sun_spans, window_suns
+from skugga.terrain.geo.clock import SOLAR, Clock
+from skugga.terrain.geo.daily_windows import DailyWindow, daily_window
+from skugga.terrain.geo.grid import Grid, MapView
+from skugga.terrain.geo.sun_path import sun_path
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 
 CELL_M = 10.0

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shadows.passes import PassLog
-from shadows.sweep.settings import SweepSettings
-from shadows.sweep.sweep import fill
-from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from terrain.casters.reach import casters_of
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import MESHES
-from terrain.level.parts import SunSpec
+from skugga.shadows.passes import PassLog
+from skugga.shadows.sweep.settings import SweepSettings
+from skugga.shadows.sweep.sweep import fill
+from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import MESHES
+from skugga.terrain.level.parts import SunSpec
 from tests.rasters import ENGINEERING
 from tests.terrain.ground.test_columns import UTM, scene_of
 

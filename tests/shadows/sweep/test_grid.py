@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from shadows.sweep import grid as sweep_grid
-from shadows.sweep.grid import (
+from skugga.shadows.sweep import grid as sweep_grid
+from skugga.shadows.sweep.grid import (
     HIGHER_DIAGONALS,
     NO_GROUND_LEVEL,
     NO_LEVELS,
@@ -23,12 +23,12 @@ from shadows.sweep.grid import (
     sweep_nodes,
     turned_levels,
 )
-from shadows.sweep.horizon import horizon_deg
-from shadows.sweep.lines import Strip, TurnedGrid, sweep_rows
-from shadows.sweep.points import no_points
-from terrain.casters.rays import RayScene
-from terrain.errors import UnsupportedError
-from terrain.ground.sheet import Sheet, cuts_of, sheet_of
+from skugga.shadows.sweep.horizon import horizon_deg
+from skugga.shadows.sweep.lines import Strip, TurnedGrid, sweep_rows
+from skugga.shadows.sweep.points import no_points
+from skugga.terrain.casters.rays import RayScene
+from skugga.terrain.errors import UnsupportedError
+from skugga.terrain.ground.sheet import Sheet, cuts_of, sheet_of
 
 OFF_AXIS = [7.0, 38.0, 67.0, 113.0, 158.0, 202.0, 251.0, 293.0, 338.0]
 
@@ -284,7 +284,7 @@ def test_lines_that_close_up_and_spread_run_where_their_cubics_do():
 
 
 def test_horizons_of_strips_are_those_of_the_whole(monkeypatch):
-    from shadows.sweep import horizon as sweep_horizon
+    from skugga.shadows.sweep import horizon as sweep_horizon
 
     heights = mountains(120, seed=8)
     whole = horizon_deg(heights, 10.0, 112.0)

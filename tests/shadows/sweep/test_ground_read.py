@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shadows.passes import PassLog
-from shadows.sweep import rays
-from shadows.sweep.grid import bordered, fitted_cubics
-from shadows.sweep.rays import patch_windows
-from shadows.sweep.settings import SweepSettings
-from shadows.sweep.sweep import fill, fill_nodes
-from terrain.casters.reach import PATCH_QUADS, Casters, Patch, casters_in_sun, casters_of
-from terrain.gbuffer.bare_nodes import bare_nodes
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.grid import MapView
-from terrain.level.level import SUN
+from skugga.shadows.passes import PassLog
+from skugga.shadows.sweep import rays
+from skugga.shadows.sweep.grid import bordered, fitted_cubics
+from skugga.shadows.sweep.rays import patch_windows
+from skugga.shadows.sweep.settings import SweepSettings
+from skugga.shadows.sweep.sweep import fill, fill_nodes
+from skugga.terrain.casters.reach import PATCH_QUADS, Casters, Patch, casters_in_sun, casters_of
+from skugga.terrain.gbuffer.bare_nodes import bare_nodes
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import SUN
 from tests.rasters import ENGINEERING
 
 Q = PATCH_QUADS

@@ -6,28 +6,28 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from selector.planner.planner import make_plan
-from shadows.attached import attached
-from shadows.bent_rays import MAX_STRAIGHT_M
-from shadows.passes import PassLog
-from shadows.render import render_frame
-from shadows.sweep import sweep
-from shadows.sweep.rays import rays_over
-from shadows.sweep.settings import SweepSettings
-from shadows.truth.metrics import MOST_INTERIOR, errors_of, soft_error
-from shadows.truth.truth import ray_scene, truth_of
-from shadows.visibility import receivers_of
-from terrain.casters import reach
-from terrain.casters.reach import Casters, casters_of
-from terrain.describe import describe
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import RELIEF
-from terrain.geo.grid import MapView
-from terrain.geo.sun import SUN_RADIUS_DEG
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.attached import attached
+from skugga.shadows.bent_rays import MAX_STRAIGHT_M
+from skugga.shadows.passes import PassLog
+from skugga.shadows.render import render_frame
+from skugga.shadows.sweep import sweep
+from skugga.shadows.sweep.rays import rays_over
+from skugga.shadows.sweep.settings import SweepSettings
+from skugga.shadows.truth.metrics import MOST_INTERIOR, errors_of, soft_error
+from skugga.shadows.truth.truth import ray_scene, truth_of
+from skugga.shadows.visibility import receivers_of
+from skugga.terrain.casters import reach
+from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.metrics import soft_truth
 from tests.rasters import ENGINEERING
 from tests.render import block_at, render, shadow
@@ -135,7 +135,7 @@ def test_where_meridians_converge_no_shadow_is_made_up(write_raster, make_scene,
 
 @pytest.mark.parametrize("latitude, width_km", [(0.0, 1000.0), (65.0, 1000.0), (78.0, 500.0), (84.0, 250.0)])
 def test_lines_follow_the_rays_across_so_wide_a_map(write_raster, make_scene, latitude, width_km):
-    """Farther than sweeps are asked to, whatever the azimuth: elsewhere they fall back to maps (``shadows.bent_rays``)."""
+    """Farther than sweeps are asked to, whatever the azimuth: elsewhere they fall back to maps (``skugga.shadows.bent_rays``)."""
     assert 1e3 * width_km > MAX_STRAIGHT_M
     x, y = Transformer.from_crs(4326, 3857, always_xy=True).transform(10.0, latitude)
     stretch, heights = 1.0 / np.cos(np.radians(latitude)), np.zeros((8, 8), np.float32)
@@ -246,7 +246,7 @@ def test_more_cores_change_nothing(jacksboro, tile, monkeypatch):
 
 
 def test_a_frame_by_sweep_needs_no_opengl(jacksboro, monkeypatch):
-    from terrain.gl import device as gl
+    from skugga.terrain.gl import device as gl
 
     def never() -> None:
         raise AssertionError("OpenGL was called")

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from shadows.truth.metrics import block_shares, coverage_error, errors_of, soft_error
-from shadows.truth.truth import Truth
+from skugga.shadows.truth.metrics import block_shares, coverage_error, errors_of, soft_error
+from skugga.shadows.truth.truth import Truth
 from tests.hard_cases.table import put_into
 from tests.metrics import flicker
 

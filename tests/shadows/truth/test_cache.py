@@ -7,14 +7,14 @@ from io import BytesIO
 
 import numpy as np
 
-from shadows.truth import cache
-from shadows.truth.cache import cached_truth, content_key
-from terrain.casters.reach import Casters, casters_of
-from terrain.gbuffer.geometry import map_geometry
-from terrain.gbuffer.picture import geometry_of
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import build_scene
+from skugga.shadows.truth import cache
+from skugga.shadows.truth.cache import cached_truth, content_key
+from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.gbuffer.geometry import map_geometry
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
 
 
 def test_the_same_content_is_made_once(tmp_path, monkeypatch):
@@ -26,7 +26,7 @@ def test_the_same_content_is_made_once(tmp_path, monkeypatch):
     made = []
 
     def make(*args, **keys):
-        from shadows.truth.truth import truth_of
+        from skugga.shadows.truth.truth import truth_of
 
         made.append(args)
         return truth_of(*args, **keys)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shadows.truth.metrics import (
+from skugga.shadows.truth.metrics import (
     LEAST_SIGHT,
     block_shares,
     boundary,
@@ -23,7 +23,7 @@ from shadows.truth.metrics import (
     sight_of,
     soft_error,
 )
-from shadows.truth.truth import Truth
+from skugga.shadows.truth.truth import Truth
 from tests.metrics import flicker
 from tests.shadows.truth import faults
 

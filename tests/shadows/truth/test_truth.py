@@ -7,22 +7,22 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from selector.candidates import candidates
-from selector.measure.compare import Comparison, compare, false_colours
-from shadows.area_light import sun_disc
-from shadows.attached import attached
-from shadows.maps import shadow_map
-from shadows.passes import PassLog
-from shadows.truth import truth
-from shadows.truth.metrics import MOST_INTERIOR, Errors, block_shares, coverage_error, errors_of, soft_error
-from shadows.truth.truth import Truth, coverage_truth, fill, sub_views, surface_error, truth_of
-from shadows.visibility import receivers_of
-from terrain.casters.reach import Casters, casters_of
-from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
-from terrain.geo.grid import MapView
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.selector.candidates import candidates
+from skugga.selector.measure.compare import Comparison, compare, false_colours
+from skugga.shadows.area_light import sun_disc
+from skugga.shadows.attached import attached
+from skugga.shadows.maps import shadow_map
+from skugga.shadows.passes import PassLog
+from skugga.shadows.truth import truth
+from skugga.shadows.truth.metrics import MOST_INTERIOR, Errors, block_shares, coverage_error, errors_of, soft_error
+from skugga.shadows.truth.truth import Truth, coverage_truth, fill, sub_views, surface_error, truth_of
+from skugga.shadows.visibility import receivers_of
+from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.metrics import soft_truth
 from tests.rasters import ENGINEERING
 from tests.render import block_at, plan_of, render_points, shadow
@@ -154,7 +154,7 @@ def comparison(scene) -> Iterator[Comparison]:
     """Every row measured once: times are no matter here."""
     x, y = scene.view().centre
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("selector.measure.compare.ROW_REPEATS", 0)
+        patch.setattr("skugga.selector.measure.compare.ROW_REPEATS", 0)
         yield compare(scene, scene.view(bounds=(x - 2000, y - 2000, x + 2000, y + 2000), size=(125, 125)))
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from shadows.volumes.edges import closed_parts, connected_parts, edges_of, signed_sums
-from terrain.errors import InputError
-from terrain.ground.sheet import sheet_of
+from skugga.shadows.volumes.edges import closed_parts, connected_parts, edges_of, signed_sums
+from skugga.terrain.errors import InputError
+from skugga.terrain.ground.sheet import sheet_of
 
 Mesh = tuple[np.ndarray, np.ndarray]
 

@@ -8,11 +8,11 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shadows.volumes.edges import edges_of
-from shadows.volumes.layers import MAX_STENCIL_LAYERS, batches, may_shade_near, most_layers
-from shadows.volumes.silhouettes import FACING_RULE_CODES, Silhouette, facing, sheet_silhouette, silhouette, turns_of
-from terrain.errors import InputError
-from terrain.ground.sheet import sheet_of
+from skugga.shadows.volumes.edges import edges_of
+from skugga.shadows.volumes.layers import MAX_STENCIL_LAYERS, batches, may_shade_near, most_layers
+from skugga.shadows.volumes.silhouettes import FACING_RULE_CODES, Silhouette, facing, sheet_silhouette, silhouette, turns_of
+from skugga.terrain.errors import InputError
+from skugga.terrain.ground.sheet import sheet_of
 
 Mesh = tuple[np.ndarray, np.ndarray]
 

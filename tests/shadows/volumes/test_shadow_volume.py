@@ -12,30 +12,30 @@ import numpy as np
 import pytest
 import trimesh
 
-from shadows.algorithm import SettingsRequest
-from shadows.attached import attached
-from shadows.hybrid import hybrid
-from shadows.hybrid.settings import resolve_hybrid
-from shadows.passes import PassLog
-from shadows.sweep import sweep
-from shadows.sweep.settings import SweepSettings
-from shadows.truth.metrics import Errors, errors_of
-from shadows.truth.truth import Truth, TruthSettings, truth_of
-from shadows.truth.truth import fill as truth_fill
-from shadows.visibility import receivers_of
-from shadows.volumes import shadow_volume
-from shadows.volumes.settings import VolumeSettings
-from terrain.cache import clear_caches
-from terrain.casters.reach import NO_CASTERS, Casters, casters_of
-from terrain.describe import describe
-from terrain.gbuffer.antialias import multisampled
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import RELIEF
-from terrain.geo.camera import PerspectiveView
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.shadows.algorithm import SettingsRequest
+from skugga.shadows.attached import attached
+from skugga.shadows.hybrid import hybrid
+from skugga.shadows.hybrid.settings import resolve_hybrid
+from skugga.shadows.passes import PassLog
+from skugga.shadows.sweep import sweep
+from skugga.shadows.sweep.settings import SweepSettings
+from skugga.shadows.truth.metrics import Errors, errors_of
+from skugga.shadows.truth.truth import Truth, TruthSettings, truth_of
+from skugga.shadows.truth.truth import fill as truth_fill
+from skugga.shadows.visibility import receivers_of
+from skugga.shadows.volumes import shadow_volume
+from skugga.shadows.volumes.settings import VolumeSettings
+from skugga.terrain.cache import clear_caches
+from skugga.terrain.casters.reach import NO_CASTERS, Casters, casters_of
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.antialias import multisampled
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 from tests.hard_cases.bodies import EYES, SPOT, grounded, half_sphere, inside_out, joined, sheet, three_walls, without
 from tests.params import quick
 from tests.rasters import ENGINEERING

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from shadows.volumes.edges import edges_of
-from shadows.volumes.silhouettes import (
+from skugga.shadows.volumes.edges import edges_of
+from skugga.shadows.volumes.silhouettes import (
     ALL_CODE,
     FACING_CODE,
     TURNED_AWAY_CODE,
@@ -21,8 +21,8 @@ from shadows.volumes.silhouettes import (
     silhouette,
     turns_of,
 )
-from terrain.errors import InputError
-from terrain.ground.sheet import sheet_of
+from skugga.terrain.errors import InputError
+from skugga.terrain.ground.sheet import sheet_of
 
 Mesh = tuple[np.ndarray, np.ndarray]
 

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from shadows.attached import attached
-from shadows.passes import PassRecord
-from shadows.volumes import drawing as volume_drawing
-from shadows.volumes.drawing import count
-from shadows.volumes.settings import VolumeSettings
-from shadows.volumes.tiles import CULLING_TILE_PX, Culled, culled, depth_bounds, marked_tiles, rectangles
-from shadows.volumes.volumes import volumes_of
+from skugga.shadows.attached import attached
+from skugga.shadows.passes import PassRecord
+from skugga.shadows.volumes import drawing as volume_drawing
+from skugga.shadows.volumes.drawing import count
+from skugga.shadows.volumes.settings import VolumeSettings
+from skugga.shadows.volumes.tiles import CULLING_TILE_PX, Culled, culled, depth_bounds, marked_tiles, rectangles
+from skugga.shadows.volumes.volumes import volumes_of
 from tests.shadows.boxes import box, level_of
 from tests.shadows.volumes.test_shadow_volume import Look, above, eye, joined, look
 

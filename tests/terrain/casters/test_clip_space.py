@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terrain.casters.clip_space import AFFINE_PART_PX, affine_parts, bend_px, camera_clip, map_clip
-from terrain.gbuffer.picture import frame_of, geometry_of
-from terrain.geo.grid import MapView
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.terrain.casters.clip_space import AFFINE_PART_PX, affine_parts, bend_px, camera_clip, map_clip
+from skugga.terrain.gbuffer.picture import frame_of, geometry_of
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.render import block_at
 from tests.shadows.boxes import View, box, level_of
 

@@ -8,14 +8,14 @@ import rasterio
 from morecantile import tms as matrix_sets
 from rasterio.enums import Resampling
 
-from api.layers import MASK_LIT, MASK_SHADOW
-from api.matrices import zoom_range
-from api.shade import raster_view, shade_array
-from shadows.ground_pictures import shown_map
-from terrain.geo.grid import MapView, tile_grid
-from terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, transformer
-from terrain.ground import overview
-from terrain.scene import Scene
+from skugga.api.layers import MASK_LIT, MASK_SHADOW
+from skugga.api.matrices import zoom_range
+from skugga.api.shade import raster_view, shade_array
+from skugga.shadows.ground_pictures import shown_map
+from skugga.terrain.geo.grid import MapView, tile_grid
+from skugga.terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, transformer
+from skugga.terrain.ground import overview
+from skugga.terrain.scene import Scene
 from tests.render import plan_of
 
 CELL_M, COLS, ROWS = 30.0, 2700, 700
@@ -59,7 +59,7 @@ def places(margin_m: float) -> dict[tuple[float, float], bool]:
 def scene(request, write_raster, make_scene, monkeypatch) -> Scene:
     raster = write_raster(heights(), "EPSG:32633", WEST_M, NORTH_M, CELL_M, tiled=True)
     if request.param != "a raster":
-        monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 10_000)
+        monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 10_000)
         monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 10_000)
         monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
         with rasterio.open(raster, "r+") as dataset:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terrain.casters.reach import casters_in_sun
-from terrain.gbuffer.geometry import map_geometry
-from terrain.ground import overview
+from skugga.terrain.casters.reach import casters_in_sun
+from skugga.terrain.gbuffer.geometry import map_geometry
+from skugga.terrain.ground import overview
 from tests.render import render_points, shadow
 
 SIDE, CELL_M = 1024, 30.0
@@ -36,7 +36,7 @@ def seen(write_raster, make_scene, monkeypatch):
 
     found = {"small": look()}
     monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 256 * 256)
-    monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 256 * 256)
+    monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 256 * 256)
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 8)
     monkeypatch.setattr(overview, "FINE_LEVEL", 3)
     found["big"] = look()
@@ -57,7 +57,7 @@ def test_shadows_are_the_same_and_patches_few(seen):
 
 def test_finer_cells_lie_in_the_overview_s(write_raster, make_scene, monkeypatch):
     monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 256 * 256)
-    monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 256 * 256)
+    monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 256 * 256)
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 8)
     monkeypatch.setattr(overview, "FINE_LEVEL", 4)
     found = make_scene(write_raster(relief(), "EPSG:32633", WEST_M, NORTH_M, CELL_M, tiled=True)).elevation.overview

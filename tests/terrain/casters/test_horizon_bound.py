@@ -10,18 +10,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from shadows.passes import PassLog
-from shadows.sweep.settings import SweepSettings
-from shadows.sweep.sweep import fill
-from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from terrain.casters.casting import caster_sheets
-from terrain.casters.horizon_bound import RISE_DIRECTIONS, idle_patches, own_ground_is_clear, rises
-from terrain.casters.reach import Casters, casters_of
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.sun import SUN_RADIUS_DEG
-from terrain.level.level import SUN
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.shadows.passes import PassLog
+from skugga.shadows.sweep.settings import SweepSettings
+from skugga.shadows.sweep.sweep import fill
+from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from skugga.terrain.casters.casting import caster_sheets
+from skugga.terrain.casters.horizon_bound import RISE_DIRECTIONS, idle_patches, own_ground_is_clear, rises
+from skugga.terrain.casters.reach import Casters, casters_of
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.sun import SUN_RADIUS_DEG
+from skugga.terrain.level.level import SUN
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 
 SIDE = 900

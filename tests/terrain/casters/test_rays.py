@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from terrain.casters.rays import AlphaMesh, RayScene, sample_alpha
-from terrain.geo.sun import direction_enu
-from terrain.ground.sheet import Sheet, sheet_of
+from skugga.terrain.casters.rays import AlphaMesh, RayScene, sample_alpha
+from skugga.terrain.geo.sun import direction_enu
+from skugga.terrain.ground.sheet import Sheet, sheet_of
 
 PIXEL_M = 0.5
 NEAR_PX = 0.02

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terrain.casters.reach import casters_of, longest_shadow_m
-from terrain.gbuffer.geometry import map_geometry
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene
+from skugga.terrain.casters.reach import casters_of, longest_shadow_m
+from skugga.terrain.gbuffer.geometry import map_geometry
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import render
 
@@ -99,7 +99,7 @@ def test_a_map_far_finer_than_its_raster_reads_little_ground_and_shades_the_same
     scene = make_scene(write_raster(hills(60, 60, 60), "EPSG:32633", 500_000, 6_000_600, 10.0), 200, 12)
     close, wide = (scene.view(bounds=(500_300, 6_000_300, 500_300 + m, 6_000_300 + m), size=(256, 256)) for m in (5, 20))
     sparing = len(casters(scene, close)[1].patches), render(scene, wide, algorithm="shadow_map", filter=1, map_size=1024)
-    monkeypatch.setattr("terrain.casters.reach.NODES_A_CELL", 1e9)
+    monkeypatch.setattr("skugga.terrain.casters.reach.NODES_A_CELL", 1e9)
     whole = len(casters(scene, close)[1].patches), render(scene, wide, algorithm="shadow_map", filter=1, map_size=1024)
     assert 1.5 * sparing[0] < whole[0]
     assert 0.05 < (whole[1].visibility < 0.5).mean() < 0.95

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terrain.casters.rays import RayScene
-from terrain.casters.sheet_rays import SheetRays
-from terrain.geo.sun import direction_enu
-from terrain.ground.sheet import Sheet, sheet_of
+from skugga.terrain.casters.rays import RayScene
+from skugga.terrain.casters.sheet_rays import SheetRays
+from skugga.terrain.geo.sun import direction_enu
+from skugga.terrain.ground.sheet import Sheet, sheet_of
 from tests.terrain.casters.test_rays import box
 
 SUNS = [(237.0, 3.0), (120.0, 15.0), (0.0, 30.0), (200.0, 62.0), (0.0, 90.0)]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from terrain.compiling.bundle import FLAGS, TARGET, VERSIONS, installed_versions, use_bundled_loops
+from skugga.terrain.compiling.bundle import FLAGS, TARGET, VERSIONS, installed_versions, use_bundled_loops
 
 
 @pytest.fixture

@@ -12,14 +12,13 @@ import pytest
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
 
-import shadows
-import terrain
-from terrain.compiling.digest import UnknownValueError, describe_types
-from terrain.compiling.loop_cache import LoopCache
+from skugga import shadows, terrain
+from skugga.terrain.compiling.digest import UnknownValueError, describe_types
+from skugga.terrain.compiling.loop_cache import LoopCache
 
 MODULES = {
     "digest_base": """
-from terrain.compiled import compiled
+from skugga.terrain.compiled import compiled
 
 STEP = 2.0
 
@@ -37,7 +36,7 @@ import numpy as np
 
 import digest_base
 from digest_base import STEP, deepest
-from terrain.compiled import compiled
+from skugga.terrain.compiled import compiled
 
 class Window(NamedTuple):
     height: float
@@ -58,7 +57,7 @@ import numpy as np
 
 import digest_middle
 from digest_middle import SQUARE, TABLE, middle
-from terrain.compiled import compiled
+from skugga.terrain.compiled import compiled
 
 @compiled
 def top(x):

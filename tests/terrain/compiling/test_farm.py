@@ -12,16 +12,16 @@ from pathlib import Path
 
 import pytest
 
-from terrain.compiling import ahead, hooks
-from terrain.compiling.ahead import PRODUCTS, compile_ahead
-from terrain.compiling.farm import Task, _Queue
-from terrain.compiling.hooks import compiled_by, need, report_missing_loop
-from terrain.compiling.signatures import decode_type, encode_type, recorded_signatures
+from skugga.terrain.compiling import ahead, hooks
+from skugga.terrain.compiling.ahead import PRODUCTS, compile_ahead
+from skugga.terrain.compiling.farm import Task, _Queue
+from skugga.terrain.compiling.hooks import compiled_by, need, report_missing_loop
+from skugga.terrain.compiling.signatures import decode_type, encode_type, recorded_signatures
 
 ROOT = Path(__file__).resolve().parents[3]
 
 MODULE = """
-from terrain.compiled import compiled
+from skugga.terrain.compiled import compiled
 
 @compiled
 def leaf(x):
@@ -44,8 +44,8 @@ RUN = """
 import os, signal, sys
 import loops
 from numba.core import types
-from terrain.compiling import farm
-from terrain.compiling.loop_cache import recorders
+from skugga.terrain.compiling import farm
+from skugga.terrain.compiling.loop_cache import recorders
 
 if {deadly}:  # a child that compiles ``middle`` is killed
     recorders.append(lambda loop, args: loop.py_func.__name__ == "middle" and os.kill(os.getpid(), signal.SIGKILL))
@@ -153,7 +153,7 @@ def test_a_store_that_cannot_be_written_compiles_nothing_ahead(tmp_path: Path, m
 
 
 KILLED = """
-from terrain.compiling.ahead import PRODUCTS, compile_ahead
+from skugga.terrain.compiling.ahead import PRODUCTS, compile_ahead
 farms = []
 compile_ahead(PRODUCTS, 2, lambda task, done, total: print(farms[0], flush=True), on_start=lambda farm: farms.append(farm.pid))
 """

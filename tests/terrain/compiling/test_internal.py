@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terrain.compiled import compiled, internal
+from skugga.terrain.compiled import compiled, internal
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -59,7 +59,7 @@ def _named_by_python(module: ast.Module) -> Iterator[str]:
     imported = {
         alias.asname or alias.name
         for node in ast.walk(module)
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in ("shadows", "terrain")
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(("skugga.shadows", "skugga.terrain"))
         for alias in node.names
         if alias.name in _internal_of(node.module)
     }

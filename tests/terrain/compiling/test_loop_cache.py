@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 CALLEE = """
 from typing import NamedTuple
-from terrain.compiled import compiled
+from skugga.terrain.compiled import compiled
 
 class Pair(NamedTuple):
     first: float
@@ -34,8 +34,8 @@ def through(x):
 
 CALLER = """
 import b
-from terrain.compiled import compiled
-from terrain.compiling.loop_cache import recorders
+from skugga.terrain.compiled import compiled
+from skugga.terrain.compiling.loop_cache import recorders
 
 @compiled
 def f(x):

@@ -6,34 +6,31 @@ import pkgutil
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-import api
-import selector
-import shadows
-import terrain
-from terrain.compiling.ahead import PRODUCTS
-from terrain.compiling.signatures import recorded_signatures
+from skugga import api, selector, shadows, terrain
+from skugga.terrain.compiling.ahead import PRODUCTS
+from skugga.terrain.compiling.signatures import recorded_signatures
 
 RARE = {
-    "api.overviews": "`skugga overviews`",
-    "shadows.sweep.columns": "levels of blocks",
-    "shadows.sweep.grid": "`skugga.shadow`",
-    "shadows.sweep.horizon": "horizons of arrays",
-    "shadows.truth.metrics": "`skugga compare`",
-    "terrain.casters.rays": "`skugga compare`",
-    "terrain.casters.sheet_rays": "`skugga compare`",
-    "terrain.effects.clouds": "levels with clouds",
-    "terrain.effects.snow": "levels with snow",
-    "terrain.effects.water": "levels with water",
-    "terrain.gbuffer.covered_nodes": "layers of classes at coarse zooms",
-    "terrain.gbuffer.map_columns": "levels of blocks",
-    "terrain.ground.cells": "levels of blocks",
-    "terrain.ground.columns": "levels of blocks",
-    "terrain.ground.decimation": "cameras over more triangles than are allowed",
-    "terrain.ground.imagery": "levels with imagery",
-    "terrain.ground.surface": "points on magnified ground",
-    "terrain.sky": "levels with water",
-    "terrain.trees.canopy": "levels with a canopy",
-    "terrain.viewpoint": "cameras that Skugga places",
+    "skugga.api.overviews": "`skugga overviews`",
+    "skugga.shadows.sweep.columns": "levels of blocks",
+    "skugga.shadows.sweep.grid": "`skugga.shadow`",
+    "skugga.shadows.sweep.horizon": "horizons of arrays",
+    "skugga.shadows.truth.metrics": "`skugga compare`",
+    "skugga.terrain.casters.rays": "`skugga compare`",
+    "skugga.terrain.casters.sheet_rays": "`skugga compare`",
+    "skugga.terrain.effects.clouds": "levels with clouds",
+    "skugga.terrain.effects.snow": "levels with snow",
+    "skugga.terrain.effects.water": "levels with water",
+    "skugga.terrain.gbuffer.covered_nodes": "layers of classes at coarse zooms",
+    "skugga.terrain.gbuffer.map_columns": "levels of blocks",
+    "skugga.terrain.ground.cells": "levels of blocks",
+    "skugga.terrain.ground.columns": "levels of blocks",
+    "skugga.terrain.ground.decimation": "cameras over more triangles than are allowed",
+    "skugga.terrain.ground.imagery": "levels with imagery",
+    "skugga.terrain.ground.surface": "points on magnified ground",
+    "skugga.terrain.sky": "levels with water",
+    "skugga.terrain.trees.canopy": "levels with a canopy",
+    "skugga.terrain.viewpoint": "cameras that Skugga places",
 }
 """Modules with stored loops that no product has recorded, and who needs these: they are compiled when they are called."""
 

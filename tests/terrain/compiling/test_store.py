@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from terrain.compiling import store as module
-from terrain.compiling.store import SUFFIX, LoopStore, default_store
+from skugga.terrain.compiling import store as module
+from skugga.terrain.compiling.store import SUFFIX, LoopStore, default_store
 
 
 @pytest.fixture

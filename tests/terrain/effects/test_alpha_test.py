@@ -9,11 +9,11 @@ import pytest
 import shapely
 from pyogrio import raw
 
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.gbuffer.tree_instances import map_draws_trees, tree_instances_in_map
-from terrain.scene import Scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.gbuffer.tree_instances import map_draws_trees, tree_instances_in_map
+from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 
 

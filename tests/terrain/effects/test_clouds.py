@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from selector.planner.planner import make_plan
-from shadows.plan import Plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.effects import clouds
-from terrain.effects.clouds import (
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.effects import clouds
+from skugga.terrain.effects.clouds import (
     CLOUD_EDGE_WIDTH,
     LAYER_M,
     MAX_NOISE,
@@ -26,10 +26,10 @@ from terrain.effects.clouds import (
     density_at,
     threshold_of,
 )
-from terrain.effects.effect import ShadingBlock
-from terrain.gbuffer.picture import geometry_of
-from terrain.ground.noise import noise_at
-from terrain.scene import Scene
+from skugga.terrain.effects.effect import ShadingBlock
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.ground.noise import noise_at
+from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32616"

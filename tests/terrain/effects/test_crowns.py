@@ -9,16 +9,16 @@ import pyogrio
 import pytest
 import shapely
 
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.effects.crowns import EFFECT, THROUGH_LEAVES, apply_crowns
-from terrain.effects.effect import ShadingBlock
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import FOREST, RELIEF, _tree_look
-from terrain.geo.camera import look_at
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.effects.crowns import EFFECT, THROUGH_LEAVES, apply_crowns
+from skugga.terrain.effects.effect import ShadingBlock
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.resolve import FOREST, RELIEF, _tree_look
+from skugga.terrain.geo.camera import look_at
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 
 TREE_HEIGHT_M = 12.0

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from terrain.describe import describe
-from terrain.effects.effect import ShadingBlock
-from terrain.effects.ground_detail import EFFECT, GROUND_WAVES, SHOWS, apply_ground_detail, largest_share
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
-from terrain.geo.camera import look_at
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.terrain.describe import describe
+from skugga.terrain.effects.effect import ShadingBlock
+from skugga.terrain.effects.ground_detail import EFFECT, GROUND_WAVES, SHOWS, apply_ground_detail, largest_share
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from skugga.terrain.geo.camera import look_at
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 
 UP = np.array([0.0, 0.0, 1.0])
 

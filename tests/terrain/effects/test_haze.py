@@ -11,11 +11,11 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.effects.effect import ShadingBlock
-from terrain.effects.haze import (
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.effects.effect import ShadingBlock
+from skugga.terrain.effects.haze import (
     BIN,
     CLEAR_AIR_M,
     EFFECT,
@@ -29,13 +29,13 @@ from terrain.effects.haze import (
     hides_beyond_m,
     visibility_of,
 )  # fmt: skip
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.resolve import MESHES
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
-from terrain.shading import shade, srgb_encoded
-from terrain.sky import horizon_colors, sky_color, sky_of
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.resolve import MESHES
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
+from skugga.terrain.shading import shade, srgb_encoded
+from skugga.terrain.sky import horizon_colors, sky_color, sky_of
 
 EAST = np.array([1.0, 0.0, 0.0])
 UP = np.array([0.0, 0.0, 1.0])

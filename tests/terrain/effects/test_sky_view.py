@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.effects.effect import ShadingBlock
-from terrain.effects.sky_view import EFFECT, apply_sky_view, darkened_steps
-from terrain.gbuffer.picture import frame_of, geometry_of
-from terrain.geo.grid import MapView
-from terrain.ground.sky_view_factor import hidden_sky, pyramid, sky_view, sky_view_nodes
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.effects.effect import ShadingBlock
+from skugga.terrain.effects.sky_view import EFFECT, apply_sky_view, darkened_steps
+from skugga.terrain.gbuffer.picture import frame_of, geometry_of
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.ground.sky_view_factor import hidden_sky, pyramid, sky_view, sky_view_nodes
 from tests.render import plan_of, render
 
 ALONG = np.arange(129) - 64.0

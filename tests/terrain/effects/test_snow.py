@@ -7,18 +7,18 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.effects import snow
-from terrain.effects.effect import PixelSize, ShadingBlock
-from terrain.effects.snow import BARE_DEG, HELD_DEG, ROCK, ROUGH_DEG, SNOW, apply_snow
-from terrain.gbuffer.geometry import GeometryBuffer, Shown
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
-from terrain.geo.grid import MapView
-from terrain.scene import Scene
-from terrain.shading import albedo_of
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.effects import snow
+from skugga.terrain.effects.effect import PixelSize, ShadingBlock
+from skugga.terrain.effects.snow import BARE_DEG, HELD_DEG, ROCK, ROUGH_DEG, SNOW, apply_snow
+from skugga.terrain.gbuffer.geometry import GeometryBuffer, Shown
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import FOREST, MESHES, RELIEF
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import albedo_of
 from tests.rasters import ENGINEERING
 
 DOWN = np.array([0.0, 0.0, -1e12])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from terrain.effects import EFFECTS, SWITCHES
+from skugga.terrain.effects import EFFECTS, SWITCHES
 
 ROOT = Path(__file__).resolve().parents[3]
 

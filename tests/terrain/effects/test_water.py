@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import dblquad
 
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.effects import water
-from terrain.effects.effect import ShadingBlock
-from terrain.gbuffer.picture import geometry_of
-from terrain.ground.elevation import Elevation
-from terrain.level.parts import SunSpec
-from terrain.shading import albedo_of, water_in
-from terrain.sky import Sky
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.effects import water
+from skugga.terrain.effects.effect import ShadingBlock
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.shading import albedo_of, water_in
+from skugga.terrain.sky import Sky
 
 UTM = "EPSG:32633"
 LEVEL_M = 100.0

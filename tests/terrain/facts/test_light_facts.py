@@ -13,17 +13,17 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrain.casters.rays import RayScene, trees_as_mesh
-from terrain.describe import describe
-from terrain.facts.caster_facts import trees_of
-from terrain.facts.descriptor import Descriptor
-from terrain.facts.fact_types import TEXEL_LADDER_PX
-from terrain.facts.leaf_rays import first_leaf_hits
-from terrain.facts.mesh_rays import any_hit, bvh_of
-from terrain.facts.probes import quasirandom, stratified_indices
-from terrain.facts.silhouette_facts import edge_faces_of, layers_before, length_px
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.terrain.casters.rays import RayScene, trees_as_mesh
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.caster_facts import trees_of
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
+from skugga.terrain.facts.leaf_rays import first_leaf_hits
+from skugga.terrain.facts.mesh_rays import any_hit, bvh_of
+from skugga.terrain.facts.probes import quasirandom, stratified_indices
+from skugga.terrain.facts.silhouette_facts import edge_faces_of, layers_before, length_px
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING
 
 

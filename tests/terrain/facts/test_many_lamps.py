@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from selector.planner.planner import make_plan
-from shadows.render import render_frame
-from terrain.describe import describe
-from terrain.effects.lamps import unseen_together
-from terrain.facts import light_facts
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.selector.planner.planner import make_plan
+from skugga.shadows.render import render_frame
+from skugga.terrain.describe import describe
+from skugga.terrain.effects.lamps import unseen_together
+from skugga.terrain.facts import light_facts
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 
 NEAR = {"near": {"kind": "spot", "position": [6, 0, 10], "target": [0, 0, 0], "intensity": 0.5}}
 FAR = {

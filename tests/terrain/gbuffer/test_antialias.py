@@ -9,18 +9,18 @@ import pytest
 import trimesh
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
-from api.catalogue import find_level
-from shadows import render as render_module
-from shadows.render import Frame
-from terrain.describe import describe
-from terrain.facts.coarse_view import COARSE_STEP_PX, coarse_view_of
-from terrain.gbuffer.antialias import MultisampledBuffer, edges_in_neighbours, multisampled
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import MESHES, NO_SURFACE, RELIEF
-from terrain.geo.camera import PerspectiveView
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
-from terrain.shading import shade, srgb_encoded
+from skugga.api.catalogue import find_level
+from skugga.shadows import render as render_module
+from skugga.shadows.render import Frame
+from skugga.terrain.describe import describe
+from skugga.terrain.facts.coarse_view import COARSE_STEP_PX, coarse_view_of
+from skugga.terrain.gbuffer.antialias import MultisampledBuffer, edges_in_neighbours, multisampled
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import MESHES, NO_SURFACE, RELIEF
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
+from skugga.terrain.shading import shade, srgb_encoded
 from tests.rasters import ENGINEERING
 from tests.render import render
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from terrain.gbuffer import ground_mesh as module
-from terrain.gbuffer.ground_mesh import GroundMesh, ground_creases, ground_mesh
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.camera import PerspectiveView
-from terrain.scene import Scene
+from skugga.terrain.gbuffer import ground_mesh as module
+from skugga.terrain.gbuffer.ground_mesh import GroundMesh, ground_creases, ground_mesh
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 from tests.render import render
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from api.catalogue import find_level
-from terrain.gbuffer import id_buffer
-from terrain.gbuffer.antialias import multisampled
-from terrain.gbuffer.picture import RasterisedView
-from terrain.geo.camera import PerspectiveView
-from terrain.level.level import load_level
-from terrain.level.parts import SunSpec
-from terrain.scene import Scene, build_scene
+from skugga.api.catalogue import find_level
+from skugga.terrain.gbuffer import id_buffer
+from skugga.terrain.gbuffer.antialias import multisampled
+from skugga.terrain.gbuffer.picture import RasterisedView
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene, build_scene
 
 
 @pytest.fixture(scope="module")

@@ -9,19 +9,19 @@ from hypothesis import strategies as st
 from morecantile import tms as matrix_sets
 from pyproj import CRS, Geod, Transformer
 
-from api.catalogue import find_level
-from api.layers import frame_layer
-from shadows.truth.truth import sub_views
-from terrain.gbuffer.geometry import map_geometry
-from terrain.gbuffer.picture import frame_of, geometry_of, shared_nodes
-from terrain.gbuffer.shared_points import facing_normals
-from terrain.gbuffer.subsampled import subsampled_view
-from terrain.geo.grid import BLOCK_PX, blocks_of, map_grid, map_view, tile_grid
-from terrain.geo.world import World
-from terrain.ground.sheet import sheet_triangles
-from terrain.level.level import load_level
-from terrain.lights import light_position
-from terrain.scene import build_scene
+from skugga.api.catalogue import find_level
+from skugga.api.layers import frame_layer
+from skugga.shadows.truth.truth import sub_views
+from skugga.terrain.gbuffer.geometry import map_geometry
+from skugga.terrain.gbuffer.picture import frame_of, geometry_of, shared_nodes
+from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.gbuffer.subsampled import subsampled_view
+from skugga.terrain.geo.grid import BLOCK_PX, blocks_of, map_grid, map_view, tile_grid
+from skugga.terrain.geo.world import World
+from skugga.terrain.ground.sheet import sheet_triangles
+from skugga.terrain.level.level import load_level
+from skugga.terrain.lights import light_position
+from skugga.terrain.scene import build_scene
 from tests.rasters import ENGINEERING
 from tests.render import block_at, render
 

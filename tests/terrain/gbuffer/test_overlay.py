@@ -11,12 +11,12 @@ import shapely
 import trimesh
 from pyproj import Transformer
 
-from shadows.render import render_frame
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
-from terrain.scene import Scene
-from terrain.trees.foliage import TREE_VARIANTS
+from skugga.shadows.render import render_frame
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import FOREST, MESHES, NO_SURFACE, RELIEF
+from skugga.terrain.scene import Scene
+from skugga.terrain.trees.foliage import TREE_VARIANTS
 from tests.rasters import ENGINEERING
 from tests.render import plan_of
 

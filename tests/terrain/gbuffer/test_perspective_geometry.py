@@ -9,17 +9,17 @@ import pytest
 import trimesh
 from pyproj import Transformer
 
-from api.layers import frame_layer
-from shadows.render import render_frame
-from terrain.casters.rays import RayScene
-from terrain.errors import InputError
-from terrain.gbuffer.geometry import GeometryBuffer
-from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
-from terrain.gbuffer.resolve import MESHES, RELIEF
-from terrain.geo.camera import PerspectiveView
-from terrain.scene import Scene
-from terrain.shading import srgb_encoded
-from terrain.sky import SKY_HORIZON, SKY_ZENITH
+from skugga.api.layers import frame_layer
+from skugga.shadows.render import render_frame
+from skugga.terrain.casters.rays import RayScene
+from skugga.terrain.errors import InputError
+from skugga.terrain.gbuffer.geometry import GeometryBuffer
+from skugga.terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
+from skugga.terrain.gbuffer.resolve import MESHES, RELIEF
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import srgb_encoded
+from skugga.terrain.sky import SKY_HORIZON, SKY_ZENITH
 from tests.rasters import ENGINEERING
 from tests.render import plan_of, render
 

@@ -11,16 +11,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from shadows.attached import attached
-from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from terrain.casters.reach import casters_of
-from terrain.gbuffer.geometry import GeometryBuffer, map_geometry
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.shared_points import facing_normals
-from terrain.geo.grid import MapView
-from terrain.geo.sun import direction_enu
-from terrain.lights import light_position
-from terrain.scene import Scene
+from skugga.shadows.attached import attached
+from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.shared_points import facing_normals
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.sun import direction_enu
+from skugga.terrain.lights import light_position
+from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 
 CELL_M = 8.0

@@ -11,19 +11,19 @@ import pytest
 import shapely
 from pyproj import Transformer
 
-from api.catalogue import find_level
-from shadows.truth import truth
-from shadows.truth.truth import ALL_KINDS
-from terrain.casters.rays import sample_alpha
-from terrain.casters.reach import casters_of
-from terrain.gbuffer import tree_instances as module
-from terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
-from terrain.gbuffer.resolve import FOREST
-from terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
-from terrain.trees.foliage import THRESHOLD, TREE_VARIANTS, foliage
+from skugga.api.catalogue import find_level
+from skugga.shadows.truth import truth
+from skugga.shadows.truth.truth import ALL_KINDS
+from skugga.terrain.casters.rays import sample_alpha
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.gbuffer import tree_instances as module
+from skugga.terrain.gbuffer.picture import RasterisedView, buffer_of, geometry_of
+from skugga.terrain.gbuffer.resolve import FOREST
+from skugga.terrain.gbuffer.tree_instances import TreeInstances, tree_instances_in_map, tree_instances_in_perspective
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
+from skugga.terrain.trees.foliage import THRESHOLD, TREE_VARIANTS, foliage
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32633"

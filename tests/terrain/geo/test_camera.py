@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import CRS
 
-from terrain.errors import InputError
-from terrain.geo.camera import PerspectiveView, look_at
-from terrain.geo.world import World, geocentric
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.camera import PerspectiveView, look_at
+from skugga.terrain.geo.world import World, geocentric
 from tests.rasters import ENGINEERING
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -7,8 +7,8 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from terrain.errors import InputError
-from terrain.geo.clock import clock_named, day_ends, has_day, time_zone_at
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.clock import clock_named, day_ends, has_day, time_zone_at
 
 APIA = ZoneInfo("Pacific/Apia")
 

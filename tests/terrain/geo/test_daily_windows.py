@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from terrain.errors import InputError
-from terrain.geo.clock import SOLAR, date_of
-from terrain.geo.daily_windows import daily_window, dates_of, solar_min, windows_asked
-from terrain.geo.sun_path import sun_path
-from terrain.geo.world import World
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.clock import SOLAR, date_of
+from skugga.terrain.geo.daily_windows import daily_window, dates_of, solar_min, windows_asked
+from skugga.terrain.geo.sun_path import sun_path
+from skugga.terrain.geo.world import World
 
 OSLO = ZoneInfo("Europe/Oslo")
 APIA = ZoneInfo("Pacific/Apia")

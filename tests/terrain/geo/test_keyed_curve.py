@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 
-from terrain.geo.keyed_curve import KeyedCurve
+from skugga.terrain.geo.keyed_curve import KeyedCurve
 
 SEED = st.integers(0, 10_000)
 

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import CRS
 
-from terrain.errors import InputError
-from terrain.geo.light_space import light_space
-from terrain.geo.sun import apparent_position, direction_enu, position_at, sun_of
-from terrain.geo.world import LONGITUDE_LATITUDE, World, geocentric
-from terrain.level.parts import SunSpec
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.light_space import light_space
+from skugga.terrain.geo.sun import apparent_position, direction_enu, position_at, sun_of
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, geocentric
+from skugga.terrain.level.parts import SunSpec
 
 
 def globe(lon: float, lat: float) -> World:

@@ -7,9 +7,9 @@ from datetime import UTC, datetime, timedelta, timezone
 import numpy as np
 import pytest
 
-from terrain.errors import InputError
-from terrain.geo.sun import apparent_position
-from terrain.geo.sun_path import as_utc, sun_path
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.sun import apparent_position
+from skugga.terrain.geo.sun_path import as_utc, sun_path
 
 START = datetime(2024, 3, 21, 4, tzinfo=UTC)
 

@@ -11,8 +11,8 @@ import pytest
 import shapely
 from pyproj import CRS, Transformer
 
-from terrain.errors import SourceError
-from terrain.geo.vectors import LONGEST_EDGE, attribute_names, numbers, read_features, vector_layer
+from skugga.terrain.errors import SourceError
+from skugga.terrain.geo.vectors import LONGEST_EDGE, attribute_names, numbers, read_features, vector_layer
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32632)

@@ -9,10 +9,10 @@ import moderngl
 import numpy as np
 import pytest
 
-from terrain.errors import GraphicsError
-from terrain.gl.depth_targets import MAX_TARGETS
-from terrain.gl.programs import join_shader_parts, recorded
-from terrain.ground.sheet import Sheet, sheet_of
+from skugga.terrain.errors import GraphicsError
+from skugga.terrain.gl.depth_targets import MAX_TARGETS
+from skugga.terrain.gl.programs import join_shader_parts, recorded
+from skugga.terrain.ground.sheet import Sheet, sheet_of
 
 VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
 FRAGMENT = "#version 430\nvoid main() {}\n"

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from terrain.errors import GraphicsError, InputError, NoOpenGLError
-from terrain.gl import egl_devices
-from terrain.gl.egl_devices import (
+from skugga.terrain.errors import GraphicsError, InputError, NoOpenGLError
+from skugga.terrain.gl import egl_devices
+from skugga.terrain.gl.egl_devices import (
     EGL_DEVICE,
     EglDevice,
     ProbedDevice,
@@ -194,7 +194,7 @@ def test_a_driver_that_crashes_or_hangs_is_no_more_than_a_fault(script, fault, t
 def test_the_second_of_two_devices(gl, tmp_path):
     """For real: EGL lists two, and the library's own setting says something else."""
     code = (
-        "import json; from terrain.gl.device import device; from terrain.gl.egl_devices import egl_devices;"
+        "import json; from skugga.terrain.gl.device import device; from skugga.terrain.gl.egl_devices import egl_devices;"
         "gl = device(); gl.texture([[1.0]]); gl.check('a call');"
         "print(json.dumps([len(egl_devices()), gl.egl_device.index, gl.renderer]))"
     )
@@ -206,7 +206,7 @@ def test_the_second_of_two_devices(gl, tmp_path):
 
 
 def test_a_wrong_device_is_one_line_that_ends_a_command(tmp_path):
-    code = "import sys; from api.cli.main import main; sys.argv[0] = 'skugga'; main()"
+    code = "import sys; from skugga.api.cli.main import main; sys.argv[0] = 'skugga'; main()"
     picture = tmp_path / "out.png"
     for setting in ("7", "gpu"):
         done = subprocess.run(

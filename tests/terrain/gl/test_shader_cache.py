@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from terrain.gl.shader_cache import DISABLE, safe_shader_cache
+from skugga.terrain.gl.shader_cache import DISABLE, safe_shader_cache
 
 MESA_INDEX_BYTES = 1_310_728
 
@@ -79,7 +79,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 PROGRAMS = """
 import moderngl
-from terrain.gl.device import device
+from skugga.terrain.gl.device import device
 context = device().ctx
 for number in range(40):
     main = f"#version 330\\nvoid main() {{ gl_Position = vec4({number}.0); }}"

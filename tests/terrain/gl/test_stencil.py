@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from terrain.gl.stencil import MARK_BIT
+from skugga.terrain.gl.stencil import MARK_BIT
 
 VERTEX = "#version 430\nin vec3 position;\nvoid main() { gl_Position = vec4(position, 1.0); }\n"
 FRAGMENT = "#version 430\nvoid main() {}\n"

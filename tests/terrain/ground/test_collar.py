@@ -9,8 +9,8 @@ import pytest
 import rasterio
 from scipy.ndimage import rotate
 
-from terrain.ground.collar import Collar, collar_of
-from terrain.ground.elevation import Elevation
+from skugga.terrain.ground.collar import Collar, collar_of
+from skugga.terrain.ground.elevation import Elevation
 from tests.rasters import write_geotiff
 
 WITH_A_COLLAR = ("lisbon_1arcsec_4326.tif",)

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
-from terrain.casters.reach import casters_of
-from terrain.errors import LevelError
-from terrain.gbuffer.picture import geometry_of
-from terrain.ground.columns import Columns
-from terrain.level.level import load_level
-from terrain.scene import Scene, build_scene
+from skugga.shadows.truth.truth import ALL_KINDS, lit_from, ray_scene
+from skugga.terrain.casters.reach import casters_of
+from skugga.terrain.errors import LevelError
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.ground.columns import Columns
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import Scene, build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 
 UTM = "EPSG:32632"

@@ -9,9 +9,9 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrain.errors import InputError
-from terrain.geo.world import EARTH_RADIUS_M
-from terrain.ground.decimation import Decimated, NodeErrors, decimate, errors_m
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.world import EARTH_RADIUS_M
+from skugga.terrain.ground.decimation import Decimated, NodeErrors, decimate, errors_m
 
 ALL = 10**9
 SPACING_M = 30.0

@@ -8,9 +8,9 @@ import rasterio
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrain.errors import SourceError
-from terrain.ground import elevation as module
-from terrain.ground.elevation import FILL_CELLS, Elevation
+from skugga.terrain.errors import SourceError
+from skugga.terrain.ground import elevation as module
+from skugga.terrain.ground.elevation import FILL_CELLS, Elevation
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32633"

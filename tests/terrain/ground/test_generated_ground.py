@@ -9,11 +9,11 @@ import pytest
 from pyproj import CRS
 from scipy.ndimage import label
 
-from terrain.ground.elevation import Elevation
-from terrain.ground.erosion import drainage
-from terrain.ground.generated_ground import _made, generated_ground
-from terrain.ground.noise import fractal
-from terrain.level.parts import Terrain
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.erosion import drainage
+from skugga.terrain.ground.generated_ground import _made, generated_ground
+from skugga.terrain.ground.noise import fractal
+from skugga.terrain.level.parts import Terrain
 
 NOISE_DIGEST, RIDGES_DIGEST = "42dd4ab4a2276fcf", "ad3d9d1b926597a4"
 """Of every bit: to be renewed where the ground is meant to change."""

@@ -9,11 +9,11 @@ import rasterio.control
 import rasterio.rpc
 from affine import Affine
 
-from terrain.errors import SourceError
-from terrain.ground.elevation import Elevation
-from terrain.ground.georeference import crs_of
-from terrain.ground.imagery import Imagery
-from terrain.trees.canopy import Canopy
+from skugga.terrain.errors import SourceError
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.georeference import crs_of
+from skugga.terrain.ground.imagery import Imagery
+from skugga.terrain.trees.canopy import Canopy
 from tests.rasters import ENGINEERING, write_geotiff
 
 UTM, DEGREES = (500e3, 5200e3, 30.0), (12.5, 47.2, 3e-4)

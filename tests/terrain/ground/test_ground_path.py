@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from terrain.errors import LevelError
-from terrain.geo.world import LONGITUDE_LATITUDE, geocentric, transformer
-from terrain.ground.geolocate import Geolocator
-from terrain.ground.ground_path import GroundPath, path_over_ground
-from terrain.level.motion import Above
-from terrain.scene import Scene
+from skugga.terrain.errors import LevelError
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, geocentric, transformer
+from skugga.terrain.ground.geolocate import Geolocator
+from skugga.terrain.ground.ground_path import GroundPath, path_over_ground
+from skugga.terrain.level.motion import Above
+from skugga.terrain.scene import Scene
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32633"

@@ -9,14 +9,14 @@ from affine import Affine
 from pyproj import CRS, Transformer
 from scipy.ndimage import map_coordinates
 
-from terrain.errors import SourceError
-from terrain.gbuffer.picture import geometry_of
-from terrain.gbuffer.resolve import RELIEF
-from terrain.geo.camera import PerspectiveView
-from terrain.ground.imagery import Imagery
-from terrain.meshes.body import srgb_albedo
-from terrain.scene import Scene
-from terrain.shading import LEVEL_ALBEDO
+from skugga.terrain.errors import SourceError
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.gbuffer.resolve import RELIEF
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.ground.imagery import Imagery
+from skugga.terrain.meshes.body import srgb_albedo
+from skugga.terrain.scene import Scene
+from skugga.terrain.shading import LEVEL_ALBEDO
 from tests.rasters import ENGINEERING
 from tests.render import render
 
@@ -173,7 +173,7 @@ def test_sixteen_bits_are_stretched_to_their_98th_percentile(write_raster):
 
 def test_larger_rasters_are_averaged_to_what_is_kept(write_raster, monkeypatch):
     """Cells keep their places: 64 cells a side read as 16."""
-    monkeypatch.setattr("terrain.ground.imagery.MAX_SIDE", 16)
+    monkeypatch.setattr("skugga.terrain.ground.imagery.MAX_SIDE", 16)
     data = np.repeat(np.repeat(colours(5), 4, axis=1), 4, axis=2)
     path = write_raster(data, UTM, X0, Y0, CELL / 4, name="large.tif")
     image = Imagery(str(path))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from terrain.ground.length_text import length_m, unit_m
+from skugga.terrain.ground.length_text import length_m, unit_m
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,11 @@ import pytest
 import rasterio
 from rasterio.enums import ColorInterp, Resampling
 
-from terrain.errors import SourceError
-from terrain.ground import open_raster as module
-from terrain.ground.elevation import Elevation
-from terrain.ground.imagery import Imagery
-from terrain.trees.canopy import Canopy
+from skugga.terrain.errors import SourceError
+from skugga.terrain.ground import open_raster as module
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.imagery import Imagery
+from skugga.terrain.trees.canopy import Canopy
 from tests.rasters import write_geotiff
 
 SIDE = 64

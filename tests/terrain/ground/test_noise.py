@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrain.ground.noise import noise_along, noise_at
+from skugga.terrain.ground.noise import noise_along, noise_at
 
 KNOWN = {
     (0.25, 0.5, 1): 0.041015625,

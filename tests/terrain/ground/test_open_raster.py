@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import rasterio
 
-from terrain.errors import SourceError
-from terrain.ground.elevation import Elevation
+from skugga.terrain.errors import SourceError
+from skugga.terrain.ground.elevation import Elevation
 from tests.rasters import write_geotiff
 
 

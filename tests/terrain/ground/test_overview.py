@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terrain.errors import SourceError
-from terrain.ground import overview
-from terrain.ground.elevation import Elevation
-from terrain.ground.overview import check_overviews, lacks_overviews
+from skugga.terrain.errors import SourceError
+from skugga.terrain.ground import overview
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.overview import check_overviews, lacks_overviews
 
 SIDE = 1024
 PEAK_M = 3000.0
@@ -18,7 +18,7 @@ PEAK_M = 3000.0
 def big(write_raster, monkeypatch) -> Elevation:
     """A plain of 500 m with a peak a few cells wide, a pit like it, and a hole: too big to be read cell by cell."""
     monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 128 * 128)
-    monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 128 * 128)
+    monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 128 * 128)
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 32)
     row, col = np.mgrid[:SIDE, :SIDE]
 
@@ -84,7 +84,7 @@ def test_a_level_that_lacks_them_says_so(make_scene, write_raster, monkeypatch):
     path = write_raster(np.zeros((600, 700), np.float32), "EPSG:32633", 500_000, 5_300_000, 30.0)
     assert make_scene(path).warnings == ()
     monkeypatch.setattr(overview, "EXACT_HIGH_CELLS", 10_000)
-    monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 10_000)
+    monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 10_000)
     monkeypatch.setattr(overview, "OVERVIEW_CELLS", 64)
     (warning,) = make_scene(path).warnings
     assert f"'skugga overviews {path}'" in warning

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from terrain.casters.rays import RayScene
-from terrain.ground.sheet import Sheet, cuts_of, sheet_of, sheet_triangles
+from skugga.terrain.casters.rays import RayScene
+from skugga.terrain.ground.sheet import Sheet, cuts_of, sheet_of, sheet_triangles
 
 CORNERS = [(0, 0), (0, 1), (1, 0), (1, 1)]
 """Rows and columns of a quad's corners: NW, NE, SW, SE."""

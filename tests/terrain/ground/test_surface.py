@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from pyproj import CRS
 from scipy.ndimage import binary_dilation
 
-from terrain.geo.grid import Grid
-from terrain.ground.columns import Columns
-from terrain.ground.height_tiles import RIM_NODES, TILE_NODES, _cuts
-from terrain.ground.surface import HeightWindow, RefinedWindow
-from terrain.level.level import load_level
-from terrain.scene import build_scene
+from skugga.terrain.geo.grid import Grid
+from skugga.terrain.ground.columns import Columns
+from skugga.terrain.ground.height_tiles import RIM_NODES, TILE_NODES, _cuts
+from skugga.terrain.ground.surface import HeightWindow, RefinedWindow
+from skugga.terrain.level.level import load_level
+from skugga.terrain.scene import build_scene
 from tests.rasters import ENGINEERING, write_geotiff
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import rasterio
 
-from terrain.errors import SourceError
-from terrain.ground.elevation import Elevation
-from terrain.ground.raster_warnings import raster_warnings
+from skugga.terrain.errors import SourceError
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.raster_warnings import raster_warnings
 from tests.rasters import write_geotiff
 from tests.terrain.ground.test_collar import hills
 

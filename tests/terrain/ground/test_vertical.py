@@ -10,12 +10,12 @@ import rasterio
 from pyproj import CRS
 
 import skugga
-from api.layers import geotiff
-from terrain.errors import SourceError
-from terrain.ground.elevation import Elevation
-from terrain.ground.vertical import UNIT_WORDS
-from terrain.level.parts import METRES_PER_UNIT
-from terrain.trees.canopy import Canopy
+from skugga.api.layers import geotiff
+from skugga.terrain.errors import SourceError
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.vertical import UNIT_WORDS
+from skugga.terrain.level.parts import METRES_PER_UNIT
+from skugga.terrain.trees.canopy import Canopy
 from tests.rasters import write_geotiff
 
 UTM = "EPSG:32633"

@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrain.gbuffer.picture import geometry_of
-from terrain.geo.grid import BLOCK_PX, map_view
-from terrain.geo.world import LONGITUDE_LATITUDE
-from terrain.ground.visible_cells import block_slices, full_cell_range, is_block, visible_cells
+from skugga.terrain.gbuffer.picture import geometry_of
+from skugga.terrain.geo.grid import BLOCK_PX, map_view
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE
+from skugga.terrain.ground.visible_cells import block_slices, full_cell_range, is_block, visible_cells
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    from terrain.level.level import load_level
-    from terrain.scene import build_scene
+    from skugga.terrain.level.level import load_level
+    from skugga.terrain.scene import build_scene
     from tests.rasters import write_geotiff
 
     folder = tmp_path_factory.mktemp("shown")
@@ -32,7 +32,7 @@ def scene(tmp_path_factory):
     st.floats(12.0, 12.16), st.floats(60.95, 61.0), st.floats(0.001, 0.2), st.sampled_from(["EPSG:32633", "EPSG:4326", "EPSG:3857"])
 )
 def test_all_cells_of_its_pixels_are_among_them(scene, lon: float, lat: float, side: float, crs: str):
-    from terrain.geo.world import LONGITUDE_LATITUDE, transformer
+    from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
 
     x, y = transformer(LONGITUDE_LATITUDE, scene._crs(crs)).transform([lon - side, lon + side], [lat - side / 2, lat + side / 2])
     view = scene.view(bounds=(x[0], y[0], x[1], y[1]), crs=crs, size=(24, 24))

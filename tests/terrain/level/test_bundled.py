@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import rasterio.warp
 
-from api.catalogue import bundled_levels
-from terrain.geo.world import LONGITUDE_LATITUDE
-from terrain.level.bundled import BUNDLED
-from terrain.level.level import load_level
+from skugga.api.catalogue import bundled_levels
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE
+from skugga.terrain.level.bundled import BUNDLED
+from skugga.terrain.level.level import load_level
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from terrain.errors import LevelError
-from terrain.level.camera_file import MOST_FILE_CHARACTERS, MOST_KEYS, load_camera_path
-from terrain.level.durations import parse_duration
+from skugga.terrain.errors import LevelError
+from skugga.terrain.level.camera_file import MOST_FILE_CHARACTERS, MOST_KEYS, load_camera_path
+from skugga.terrain.level.durations import parse_duration
 
 KEY = "{at: 0s, eye: [0, 0, 5], target: [9, 9, 0]}"
 

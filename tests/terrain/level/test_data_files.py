@@ -12,17 +12,17 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 import pytest
 
-from api.http.served_levels import ServedLevels
-from terrain.errors import LevelError, SourceError
-from terrain.geo.vectors import read_features
-from terrain.geo.world import LONGITUDE_LATITUDE
-from terrain.ground.elevation import Elevation
-from terrain.ground.imagery import Imagery
-from terrain.level.data_files import check_file, check_geodata, special_kind
-from terrain.level.linked_files import linked_files
-from terrain.level.rasters import is_raster
-from terrain.meshes.models import read_model
-from terrain.trees.canopy import Canopy
+from skugga.api.http.served_levels import ServedLevels
+from skugga.terrain.errors import LevelError, SourceError
+from skugga.terrain.geo.vectors import read_features
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.imagery import Imagery
+from skugga.terrain.level.data_files import check_file, check_geodata, special_kind
+from skugga.terrain.level.linked_files import linked_files
+from skugga.terrain.level.rasters import is_raster
+from skugga.terrain.meshes.models import read_model
+from skugga.terrain.trees.canopy import Canopy
 from tests.rasters import write_geotiff
 
 UTM = "EPSG:32633"
@@ -170,7 +170,7 @@ def test_addresses_that_are_mere_data_lead_nowhere(tmp_path, text):
 
 READ_ALL = """
 import sys, rasterio, pyogrio, warnings
-from terrain.level.gdal_guard import forbid_remote_reads
+from skugga.terrain.level.gdal_guard import forbid_remote_reads
 address, guarded, *files = sys.argv[1:]
 if guarded == "yes":
     forbid_remote_reads()
@@ -187,7 +187,7 @@ print(rasterio.open("dem.tif").read(1).sum(), rasterio.open("twice.vrt").read(1)
 
 def test_gdal_does_not_tell_of_drivers_that_it_lacks():
     """Wheels of pyogrio have no PostgreSQL driver to skip."""
-    code = "from terrain.level.gdal_guard import forbid_remote_reads as f; f(); import rasterio, pyogrio"
+    code = "from skugga.terrain.level.gdal_guard import forbid_remote_reads as f; f(); import rasterio, pyogrio"
     environment = {name: value for name, value in os.environ.items() if name != "CPL_LOG"}
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False,

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import rasterio
 
-from api.http.served_levels import ServedLevels
-from terrain.errors import LevelError
-from terrain.level.level import load_level
-from terrain.level.level_source import LevelSource
+from skugga.api.http.served_levels import ServedLevels
+from skugga.terrain.errors import LevelError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_source import LevelSource
 from tests.rasters import write_geotiff
 
 VRT = """<VRTDataset rasterXSize="64" rasterYSize="64"><SRS>EPSG:32633</SRS>

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from terrain.level.gdal_guard import CACHE_LIMITS
+from skugga.terrain.level.gdal_guard import CACHE_LIMITS
 
 IN_A_WORKER = """
 import json, multiprocessing, os, sys
@@ -28,9 +28,9 @@ if __name__ == "__main__":
 """
 
 PARENTS = {
-    "the service's pool": "import api.workers.pool",
+    "the service's pool": "import skugga.api.workers.pool",
     "a library's user": "import skugga",
-    "whoever opens rasters": "import terrain.ground.elevation",
+    "whoever opens rasters": "import skugga.terrain.ground.elevation",
 }
 
 
@@ -60,9 +60,8 @@ def test_what_the_user_says_goes_before(tmp_path):
 
 
 def test_the_command_line_says_them_before_all_else(tmp_path):
-    script = (
-        "import os, sys; sys.argv = ['skugga', '--version']; from api.cli.main import main\ntry: main()\nexcept SystemExit: pass\n"
-    )
+    script = "import os, sys; sys.argv = ['skugga', '--version']; from skugga.api.cli.main import main\n"
+    script += "try: main()\nexcept SystemExit: pass\n"
     script += "print([os.environ[name] for name in sys.stdin.read().split()])"
     environment = {name: value for name, value in os.environ.items() if name not in CACHE_LIMITS}
     done = subprocess.run(

@@ -8,12 +8,12 @@ from typing import get_args
 import pytest
 from pydantic_core import PydanticCustomError
 
-from api.catalogue import bundled_levels
-from shadows.registry import ALGORITHMS
-from terrain.effects import EFFECTS
-from terrain.errors import InputError, LevelError
-from terrain.level.algorithm_names import ALGORITHM_NAMES
-from terrain.level.level import EffectName, expand_override, load_level, parse_algorithm, parse_sun, spelt
+from skugga.api.catalogue import bundled_levels
+from skugga.shadows.registry import ALGORITHMS
+from skugga.terrain.effects import EFFECTS
+from skugga.terrain.errors import InputError, LevelError
+from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES
+from skugga.terrain.level.level import EffectName, expand_override, load_level, parse_algorithm, parse_sun, spelt
 
 GOOD = "version: 1\nterrain: {source: jacksboro}\n"
 

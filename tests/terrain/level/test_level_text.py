@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ruamel.yaml.error import YAMLError
 
-from terrain.errors import InputError, LevelError, all_at_once, printable
-from terrain.level.level import load_level
-from terrain.level.level_text import DEEPEST, MOST_CHARACTERS, MOST_VALUES, parse_level_text
+from skugga.terrain.errors import InputError, LevelError, all_at_once, printable
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level_text import DEEPEST, MOST_CHARACTERS, MOST_VALUES, parse_level_text
 
 HEAD = "version: 1\nterrain: {flat: {size: [10, 10], cells: [2, 2]}}\n"
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from terrain.errors import LevelError
-from terrain.level.level import Level, load_level
+from skugga.terrain.errors import LevelError
+from skugga.terrain.level.level import Level, load_level
 
 FLOOR = {"version": 1, "terrain": {"flat": {"size": [200, 200], "cells": [20, 20]}}}
 THERE, BACK = {"seconds": 0, "position": [0, 0, 5]}, {"seconds": 9, "position": [40, 0, 5]}

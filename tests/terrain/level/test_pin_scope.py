@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrain.errors import LevelError
-from terrain.level.level import load_level
-from terrain.level.pin_scope import PinScope, never_taken, suns_left
+from skugga.terrain.errors import LevelError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.pin_scope import PinScope, never_taken, suns_left
 
 LEVEL = {
     "version": 1, "terrain": {"flat": {"size": [50, 50], "cells": [5, 5]}}, "sun": {"azimuth": 200, "altitude": 35},

@@ -10,12 +10,12 @@ import pytest
 import trimesh
 from pyproj import CRS
 
-from terrain.errors import LevelError, SourceError
-from terrain.geo.world import LONGITUDE_LATITUDE, geocentric, transformer
-from terrain.level.level import load_level
-from terrain.meshes.assemble import place_meshes, solids
-from terrain.meshes.body import srgb_albedo
-from terrain.scene import build_scene
+from skugga.terrain.errors import LevelError, SourceError
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, geocentric, transformer
+from skugga.terrain.level.level import load_level
+from skugga.terrain.meshes.assemble import place_meshes, solids
+from skugga.terrain.meshes.body import srgb_albedo
+from skugga.terrain.scene import build_scene
 
 UTM = "EPSG:32633"
 FLOOR = {"flat": {"size": [200, 100], "cells": [20, 10]}}
@@ -166,7 +166,7 @@ def test_another_second_reads_no_file_again(scene_of, monkeypatch, tmp_path):
     at_rest = scene.objects
     later = scene.at_second(3.0).objects
     assert at_rest.at_second(0.0) is at_rest and later.placement is at_rest.placement
-    monkeypatch.setattr("terrain.meshes.assemble.place_meshes", None)
+    monkeypatch.setattr("skugga.terrain.meshes.assemble.place_meshes", None)
     np.testing.assert_array_equal(later.solids.vertices_earth_m, assembled(scene, 3.0).vertices_earth_m)
     assert abs(later.solids.vertices_earth_m - at_rest.solids.vertices_earth_m).max() > 5
     # The arrow has edges alone; facets of the shell, which is seen from inside, rise beside each other by some degrees.

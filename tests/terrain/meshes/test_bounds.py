@@ -14,17 +14,17 @@ from affine import Affine
 from PIL import Image
 from pyproj import CRS
 
-from terrain.errors import SourceError
-from terrain.geo import vectors
-from terrain.geo.vectors import read_features
-from terrain.ground import overview as overview_module
-from terrain.ground.elevation import Elevation
-from terrain.ground.imagery import Imagery
-from terrain.meshes import block_triangles, buildings, models
-from terrain.meshes import body as body_module
-from terrain.meshes.body import Body
-from terrain.meshes.models import read_model
-from terrain.trees.canopy import Canopy
+from skugga.terrain.errors import SourceError
+from skugga.terrain.geo import vectors
+from skugga.terrain.geo.vectors import read_features
+from skugga.terrain.ground import overview as overview_module
+from skugga.terrain.ground.elevation import Elevation
+from skugga.terrain.ground.imagery import Imagery
+from skugga.terrain.meshes import block_triangles, buildings, models
+from skugga.terrain.meshes import body as body_module
+from skugga.terrain.meshes.body import Body
+from skugga.terrain.meshes.models import read_model
+from skugga.terrain.trees.canopy import Canopy
 
 UTM = "EPSG:32633"
 
@@ -215,7 +215,7 @@ def test_cells_as_large_as_countries_are_refused(write_raster):
 def test_a_vast_raster_needs_overviews(write_raster, monkeypatch):
     path = write_raster(np.ones((1100, 1100), np.float32), UTM, 500e3, 5200e3, 10.0, tiled=True)
     monkeypatch.setattr(overview_module, "MOST_CELLS_READ", 1100 * 1100 // 4)
-    monkeypatch.setattr("terrain.ground.open_raster.EXACT_HIGH_CELLS", 1000)
+    monkeypatch.setattr("skugga.terrain.ground.open_raster.EXACT_HIGH_CELLS", 1000)
     monkeypatch.setattr(overview_module, "EXACT_HIGH_CELLS", 1000)
     with pytest.raises(SourceError, match="1100 x 1100 cells and no overview.*gdaladdo"):
         Elevation(str(path))

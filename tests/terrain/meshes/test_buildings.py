@@ -15,13 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 
-from terrain.errors import LevelError, SourceError
-from terrain.level.level import load_level
-from terrain.meshes.assemble import place_meshes, solids
-from terrain.meshes.block_triangles import block_triangles, roof_triangles
-from terrain.meshes.body import Body, box, srgb_albedo, transformed
-from terrain.meshes.buildings import FOOTING_M
-from terrain.scene import build_scene
+from skugga.terrain.errors import LevelError, SourceError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.meshes.assemble import place_meshes, solids
+from skugga.terrain.meshes.block_triangles import block_triangles, roof_triangles
+from skugga.terrain.meshes.body import Body, box, srgb_albedo, transformed
+from skugga.terrain.meshes.buildings import FOOTING_M
+from skugga.terrain.scene import build_scene
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32633"

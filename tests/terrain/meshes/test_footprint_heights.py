@@ -9,13 +9,13 @@ import pytest
 import shapely
 from shapely import affinity
 
-from shadows.point.horizon import sun_reaches, surroundings
-from shadows.point.place import place_at
-from terrain.errors import LevelError, SourceError
-from terrain.level.level import load_level
-from terrain.meshes.assemble import place_meshes
-from terrain.meshes.buildings import FOOTING_M
-from terrain.scene import build_scene
+from skugga.shadows.point.horizon import sun_reaches, surroundings
+from skugga.shadows.point.place import place_at
+from skugga.terrain.errors import LevelError, SourceError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.meshes.assemble import place_meshes
+from skugga.terrain.meshes.buildings import FOOTING_M
+from skugga.terrain.scene import build_scene
 from tests.rasters import ENGINEERING
 from tests.terrain.meshes.test_buildings import written
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import shapely
 
-from configs import LEVELS_FOLDER
-from terrain.level.level import load_level
-from terrain.level.parts import MapSpec, MeshGenerator, PerspectiveSpec
-from terrain.meshes.generators import GENERATORS, shapes
-from terrain.scene import build_scene
+from skugga.configs import LEVELS_FOLDER
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import MapSpec, MeshGenerator, PerspectiveSpec
+from skugga.terrain.meshes.generators import GENERATORS, shapes
+from skugga.terrain.scene import build_scene
 
 TRIANGLES = {"boxgrid": 12_000, "rocks": 63_000, "street": 400, "room": 19_000, "water_tower": 12_500}
 """As in the thesis, section 7."""

@@ -7,10 +7,10 @@ import pytest
 import trimesh
 from PIL import Image
 
-from terrain.errors import SourceError
-from terrain.meshes import models
-from terrain.meshes.body import NEUTRAL, srgb_albedo
-from terrain.meshes.models import is_model, read_model
+from skugga.terrain.errors import SourceError
+from skugga.terrain.meshes import models
+from skugga.terrain.meshes.body import NEUTRAL, srgb_albedo
+from skugga.terrain.meshes.models import is_model, read_model
 
 TALL_BOX = (2.0, 4.0, 6.0)
 

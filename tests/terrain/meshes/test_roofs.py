@@ -10,12 +10,12 @@ import pytest
 import shapely
 from shapely import affinity
 
-from terrain.errors import LevelError
-from terrain.level.level import load_level
-from terrain.meshes.assemble import place_meshes
-from terrain.meshes.buildings import FOOTING_M
-from terrain.meshes.roofs import MOST_RISE, SLOPE, roof_over
-from terrain.scene import build_scene
+from skugga.terrain.errors import LevelError
+from skugga.terrain.level.level import load_level
+from skugga.terrain.meshes.assemble import place_meshes
+from skugga.terrain.meshes.buildings import FOOTING_M
+from skugga.terrain.meshes.roofs import MOST_RISE, SLOPE, roof_over
+from skugga.terrain.scene import build_scene
 
 UTM = "EPSG:32633"
 SCALE = 0.9996

@@ -10,10 +10,10 @@ import shapely
 from pyproj import CRS
 from scipy.spatial import cKDTree
 
-from terrain.errors import SourceError
-from terrain.trees import canopy as module
-from terrain.trees.canopy import CROWN_CELLS, PACKING, TREETOP_WINDOW_M, Canopy, CellWindow, room_m
-from terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
+from skugga.terrain.errors import SourceError
+from skugga.terrain.trees import canopy as module
+from skugga.terrain.trees.canopy import CROWN_CELLS, PACKING, TREETOP_WINDOW_M, Canopy, CellWindow, room_m
+from skugga.terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
 from tests.rasters import ENGINEERING
 
 UTM = CRS.from_epsg(32633)

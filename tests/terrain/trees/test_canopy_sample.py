@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import rasterio
 
-from shadows.point.horizon import sun_reaches, surroundings
-from shadows.point.place import place_at
-from terrain.errors import LevelError, SourceError
-from terrain.trees import forest as module
-from terrain.trees.canopy_sample import cells_of, check_above_ground
-from terrain.trees.forest import plant_trees
+from skugga.shadows.point.horizon import sun_reaches, surroundings
+from skugga.shadows.point.place import place_at
+from skugga.terrain.errors import LevelError, SourceError
+from skugga.terrain.trees import forest as module
+from skugga.terrain.trees.canopy_sample import cells_of, check_above_ground
+from skugga.terrain.trees.forest import plant_trees
 from tests.terrain.trees.test_forest import UTM, X0, Y0, hill, plane, vectors, xyh  # noqa: F401
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, gaussian_filter
 
-from terrain.errors import InputError
-from terrain.trees import foliage as module
-from terrain.trees.foliage import THRESHOLD, TREE_VARIANTS, Foliage, coverage_mips, foliage
-from terrain.trees.foliage_paint import Whorled
+from skugga.terrain.errors import InputError
+from skugga.terrain.trees import foliage as module
+from skugga.terrain.trees.foliage import THRESHOLD, TREE_VARIANTS, Foliage, coverage_mips, foliage
+from skugga.terrain.trees.foliage_paint import Whorled
 
 WHORLED = [i for i, (_, model) in enumerate(module._KINDS) if isinstance(model, Whorled)]
 SIDES = range(0, 2 * len(TREE_VARIANTS), 2)

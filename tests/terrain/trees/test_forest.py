@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from pyproj import CRS, Transformer
 from scipy.spatial import cKDTree
 
-from terrain.errors import LevelError, SourceError
-from terrain.trees import forest as module
-from terrain.trees.crown_sizes import CROWN_SPREAD
-from terrain.trees.foliage import TREE_VARIANTS
-from terrain.trees.forest import Site, plant_trees
-from terrain.trees.scatter import LEAST_SPACING, join_places, keys, point_keys, scatter_trees, shares
-from terrain.trees.trees import Trees
+from skugga.terrain.errors import LevelError, SourceError
+from skugga.terrain.trees import forest as module
+from skugga.terrain.trees.crown_sizes import CROWN_SPREAD
+from skugga.terrain.trees.foliage import TREE_VARIANTS
+from skugga.terrain.trees.forest import Site, plant_trees
+from skugga.terrain.trees.scatter import LEAST_SPACING, join_places, keys, point_keys, scatter_trees, shares
+from skugga.terrain.trees.trees import Trees
 from tests.rasters import ENGINEERING
 
 UTM = "EPSG:32632"

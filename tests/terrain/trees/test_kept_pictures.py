@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terrain.trees import kept_pictures as module
-from terrain.trees.foliage import PAINTED_BY
-from terrain.trees.kept_pictures import kept_pictures
+from skugga.terrain.trees import kept_pictures as module
+from skugga.terrain.trees.foliage import PAINTED_BY
+from skugga.terrain.trees.kept_pictures import kept_pictures
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -83,10 +83,15 @@ def test_a_folder_that_cannot_be_made_is_no_error(tmp_path, source):
 
 def test_all_code_that_paints_counts():
     """What the painters import of the project is among the files that are looked at, but for what cannot change a picture."""
-    apart = {"terrain.cache", "terrain.compiled", "terrain.errors", "terrain.trees.kept_pictures"}
+    apart = {"skugga.terrain.cache", "skugga.terrain.compiled", "skugga.terrain.errors", "skugga.terrain.trees.kept_pictures"}
     files = {path.resolve() for path in PAINTED_BY}
     assert len(files) == 3
     for path in files:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("terrain") and node.module not in apart:
-                assert ROOT / f"{node.module.replace('.', '/')}.py" in files, node.module
+            if (
+                isinstance(node, ast.ImportFrom)
+                and node.module
+                and node.module.startswith("skugga.terrain")
+                and node.module not in apart
+            ):
+                assert (ROOT / f"{node.module.replace('.', '/')}.py").resolve() in files, node.module

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from terrain.trees.thinning import thinning_ranks
+from skugga.terrain.trees.thinning import thinning_ranks
 
 SHARES = (1 / 16, 0.1, 0.25, 0.5, 0.77, 0.95)
 

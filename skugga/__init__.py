@@ -10,6 +10,7 @@
 
 With xarray and rioxarray installed, ``import skugga`` gives every DataArray of heights the accessor ``da.skugga``.
 
+``__all__`` lists what is public, beside ``__version__`` and the accessor; modules inside of the package may change without notice.
 Each name is imported when it is first used, so that ``import skugga`` takes no time.
 """
 
@@ -18,27 +19,33 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from api.library.register_accessor import register_accessor
-from terrain.level.gdal_guard import cap_caches
+from skugga.api.library.register_accessor import register_accessor
+from skugga.terrain.level.gdal_guard import cap_caches
 
 if TYPE_CHECKING:
-    from api.library.arrays import horizon, shadow, sunlit
-    from api.library.arrays import sun_hours_of_array as sun_hours
-    from api.library.opened_level import OpenLevel, open_heights, open_level
-    from terrain.errors import SkuggaError
+    __version__: str
+    from skugga.api.library.arrays import horizon, shadow, sunlit
+    from skugga.api.library.arrays import sun_hours_of_array as sun_hours
+    from skugga.api.library.opened_level import OpenLevel, open_heights, open_level
+    from skugga.terrain.errors import SkuggaError
 else:
     _SOURCES = {
-        "OpenLevel": ("api.library.opened_level", "OpenLevel"),
-        "SkuggaError": ("terrain.errors", "SkuggaError"),
-        "horizon": ("api.library.arrays", "horizon"),
-        "open_heights": ("api.library.opened_level", "open_heights"),
-        "open_level": ("api.library.opened_level", "open_level"),
-        "shadow": ("api.library.arrays", "shadow"),
-        "sun_hours": ("api.library.arrays", "sun_hours_of_array"),
-        "sunlit": ("api.library.arrays", "sunlit"),
+        "OpenLevel": ("skugga.api.library.opened_level", "OpenLevel"),
+        "SkuggaError": ("skugga.terrain.errors", "SkuggaError"),
+        "horizon": ("skugga.api.library.arrays", "horizon"),
+        "open_heights": ("skugga.api.library.opened_level", "open_heights"),
+        "open_level": ("skugga.api.library.opened_level", "open_level"),
+        "shadow": ("skugga.api.library.arrays", "shadow"),
+        "sun_hours": ("skugga.api.library.arrays", "sun_hours_of_array"),
+        "sunlit": ("skugga.api.library.arrays", "sunlit"),
     }
 
     def __getattr__(name: str) -> object:
+        if name == "__version__":
+            from importlib.metadata import version  # slow to import
+
+            value = globals()[name] = version("skugga")
+            return value
         if name not in _SOURCES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         module, attribute = _SOURCES[name]

@@ -1,0 +1,112 @@
+"""One import name, ``skugga``, beside whatever else is called ``api`` or ``terrain``; and which part may import which."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.bare_names import PARTS
+from tests.copies import copy_with
+from tests.rasters import write_geotiff
+
+ROOT = Path(__file__).resolve().parents[1]
+SCRIPTS = Path(sys.executable).parent
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A folder of a user's own, whose packages have the names of our folders and cannot be imported."""
+    for name in PARTS:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text(f"raise RuntimeError('{name} of the user was imported')\n", encoding="utf-8")
+    heights = np.zeros((40, 40), np.float32)
+    heights[15:20, 10:30] = 30.0
+    write_geotiff(tmp_path / "dem.tif", heights, "EPSG:32632", 600_000, 5_100_000, 10)
+    return tmp_path
+
+
+def run_in(project: Path, *command: str | Path) -> subprocess.CompletedProcess[str]:
+    path = os.pathsep.join([str(project), str(ROOT)])
+    environment = {**os.environ, "PYTHONPATH": path}
+    return subprocess.run(list(map(str, command)), cwd=project, env=environment, capture_output=True, text=True, timeout=600)
+
+
+def test_skugga_is_imported_beside_packages_of_the_same_names(project: Path):
+    code = (
+        "import skugga, numpy, sys\n"
+        "heights = numpy.zeros((9, 9), numpy.float32); heights[4, 4] = 10.0\n"
+        "print(int(skugga.shadow(heights, 1.0, azimuth_deg=180.0, altitude_deg=45.0).sum()))\n"
+        "print(sorted(set(sys.modules) & {'api', 'configs', 'selector', 'shadows', 'terrain'}))"
+    )
+    done = run_in(project, sys.executable, "-c", code)
+    assert done.returncode == 0, done.stderr
+    dark, bare = done.stdout.splitlines()
+    assert int(dark) > 3 and bare == "[]"
+
+
+def test_commands_work_beside_packages_of_the_same_names(project: Path):
+    sun = ["--azimuth", "180", "--altitude", "45"]
+    code = "from skugga.api.cli.main import main; main()"
+    done = run_in(project, sys.executable, "-c", code, "shade", "dem.tif", *sun, "-o", "mask.tif")
+    assert done.returncode == 0 and (project / "mask.tif").is_file(), done.stderr
+
+
+@pytest.mark.parametrize("name", sorted(PARTS))
+def test_a_bare_name_is_refused_in_tests(name: str):
+    with pytest.raises(ImportError, match=rf"second copy of skugga\.{name}"):
+        importlib.import_module(name)
+
+
+def test_no_second_copy_was_imported():
+    assert not {name for name in sys.modules if name.partition(".")[0] in PARTS}
+
+
+BARE = [*(f"import {name}" for name in sorted(PARTS)), "from terrain.geo import sun", "import api.cli as c"]
+
+
+@pytest.mark.parametrize("line", BARE)
+def test_a_bare_import_is_told_by_the_linter(line: str):
+    ruff = [SCRIPTS / "ruff", "check", "--stdin-filename", "planted.py", "-"]
+    done = subprocess.run(ruff, input=line + "\n", capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 1 and "TID251" in done.stdout, done.stdout + done.stderr
+
+
+PLANTED = {
+    "a floor above": (
+        "terrain/errors.py",
+        "from skugga.selector.formatting import *",
+        "skugga.terrain is not allowed to import skugga.selector",
+    ),
+    "a part above": (
+        "terrain/geo/grid.py",
+        "from skugga.terrain.scene import *",
+        "skugga.terrain.geo is not allowed to import skugga.terrain.scene",
+    ),
+    "a circle": (
+        "shadows/maps/taps.py",
+        "from skugga.shadows.maps.resolve import *",
+        "No cycles are allowed in skugga.shadows.maps",
+    ),
+    "raw OpenGL": ("shadows/work.py", "import OpenGL.GL", "skugga.shadows.work -> OpenGL"),
+}
+
+
+@pytest.mark.parametrize("kind", PLANTED)
+def test_an_import_against_the_rules_is_told(tmp_path: Path, kind: str):
+    name, line, said = PLANTED[kind]
+    house = copy_with(tmp_path, {})
+    path = house / name
+    path.write_text(path.read_text(encoding="utf-8").rstrip() + f"\n{line}\n", encoding="utf-8")
+    shutil.copy(ROOT / "pyproject.toml", house)
+    done = subprocess.run(
+        [SCRIPTS / "lint-imports", "--no-logo", "--no-cache"], cwd=house, capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": str(house), "COLUMNS": "200"},
+    )  # fmt: skip
+    assert done.returncode == 1 and said in done.stdout, done.stdout + done.stderr
