@@ -84,7 +84,7 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
         raise InputError(POINT, f"{at[0]:.10g},{at[1]:.10g}", allowed)
     row, col = (float(v) for v in ground.node_of(x, y))
     ground_m, there = ground.ground_at(row, col)
-    if not np.isfinite(ground_m):  # the outermost half cell, round which there are no quads
+    if not there or not np.isfinite(ground_m):  # nearest to a node beside the raster, or in a hole
         ground_m = float(scene.elevation.ground_m(*_in_raster(scene, ground, x, y)))
         there = bool(np.isfinite(ground_m))
     if not there:
