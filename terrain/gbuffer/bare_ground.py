@@ -14,7 +14,7 @@ import numpy as np
 
 from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal
-from skugga.terrain.gbuffer.geometry import counts, normal_reach
+from skugga.terrain.gbuffer.geometry import normal_reach
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.ground.elevation import Elevation
@@ -126,7 +126,7 @@ def _smooth_ground(
     side = 2 * reach + 1
     rows, cols = height.shape[0] - 2 * reach, height.shape[1] - 2 * reach
     points = np.empty((side, 3, height.shape[1]))  # of the rows round the one that is worked on
-    whole = np.empty(side, np.bool_)  # which of these have all their points, and show them
+    whole = np.empty(side, np.bool_)  # which of these have all their points
     normal, share = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols), np.float32)
     up = np.empty((rows, cols, 3), np.float32)
     there = np.empty((rows, cols), np.bool_)
@@ -135,7 +135,7 @@ def _smooth_ground(
     for i in range(-reach, rows + reach):
         turn = (i + reach) % side
         _points_of_row(across, first_row, stride, row0 + reach + i, height[i + reach], points[turn])
-        whole[turn] = _all_shown(points[turn, 2], height[i + reach], shown[i + reach])
+        whole[turn] = _all_known(points[turn, 2], height[i + reach])
         at = i - reach
         if at < 0:
             continue
@@ -149,7 +149,7 @@ def _smooth_ground(
             row_complete = _normals_inside(above, here, below, reach, there[at], own_normal)
         else:
             _known_in_row(height, shown, at + reach, reach, there[at])
-            row_complete = _normals_of_row(above, here, below, shown, at, reach, there[at], own_normal)
+            row_complete = _normals_of_row(above, here, below, reach, there[at], own_normal)
         complete = complete and row_complete
         _put_normals(own_normal, there[at], normal[at])
         x, y, z = here[0, reach : reach + cols], here[1, reach : reach + cols], here[2, reach : reach + cols]
@@ -164,11 +164,11 @@ def _smooth_ground(
 
 
 @internal
-def _all_shown(z, height, shown):
-    """Whether a row has all its points, and shows them."""
+def _all_known(z, height):
+    """Whether a row has all its points."""
     missing = 0
     for j in range(z.size):
-        missing += 0 if np.isfinite(z[j]) & np.isfinite(height[j]) & shown[j] else 1
+        missing += 0 if np.isfinite(z[j]) & np.isfinite(height[j]) else 1
     return missing == 0
 
 
@@ -329,20 +329,18 @@ def _put_normals(normal, there, out):
 
 
 @internal
-def _normals_of_row(above, here, below, shown, top, reach, there, out):
-    """The same (3, cols) where there is ground, one-sided at its rim. ``shown`` is of the whole window, ``top`` the row above's."""
+def _normals_of_row(above, here, below, reach, there, out):
+    """The same (3, cols) where there is ground, one-sided at its rim."""
     complete = True
     for j in range(there.size):
         if not there[j]:
             continue
         c = j + reach
         w, e = c - reach, c + reach
-        to_west, to_east = shown[top + reach, w], shown[top + reach, e]
-        to_north, to_south = shown[top, c], shown[top + 2 * reach, c]
-        west = w if counts(here[2, w], to_west, to_east) else c
-        east = e if counts(here[2, e], to_east, to_west) else c
-        north = above if counts(above[2, c], to_north, to_south) else here
-        south = below if counts(below[2, c], to_south, to_north) else here
+        west = c if np.isnan(here[2, w]) else w
+        east = c if np.isnan(here[2, e]) else e
+        north = here if np.isnan(above[2, c]) else above
+        south = here if np.isnan(below[2, c]) else below
         length, x, y, z = _unit_normal(
             here[0, east] - here[0, west], here[1, east] - here[1, west], here[2, east] - here[2, west],
             north[0, c] - south[0, c], north[1, c] - south[1, c], north[2, c] - south[2, c],

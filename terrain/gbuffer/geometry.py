@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.terrain.compiled import compiled, internal
+from skugga.terrain.compiled import compiled
 from skugga.terrain.gbuffer.ground_mesh import GroundMesh
 from skugga.terrain.gbuffer.map_points import map_lifts, map_points
 from skugga.terrain.gbuffer.resolve import NO_SURFACE, RELIEF
@@ -126,7 +126,7 @@ def map_nodes(surface: Surface, views: Sequence[MapView], frame: LocalFrame) -> 
     reach = normal_reach(surface)
     row0, col0, row1, col1 = _nodes_of(views, reach)
     window = surface.window(row0, col0, row1 - row0, col1 - col0, frame)
-    return MapNodes(window, _smooth_normals(window.position_frame_m, window.there, reach))
+    return MapNodes(window, _smooth_normals(window.position_frame_m, reach))
 
 
 def _nodes_of(views: Sequence[MapView], reach: int) -> tuple[int, int, int, int]:
@@ -177,8 +177,8 @@ def normal_reach(surface: Surface) -> int:
 
 
 @compiled
-def _smooth_normals(position, shown, reach):
-    """Unit normals at the nodes from differences over ``reach`` nodes each way, one-sided at the data's borders (``counts``).
+def _smooth_normals(position, reach):
+    """Unit normals at the nodes from differences over ``reach`` nodes each way, one-sided at the data's borders.
 
     With ``reach`` one raster cell, the slope of a bilinear surface varies without a jump: facets do not show.
     """
@@ -192,15 +192,13 @@ def _smooth_normals(position, shown, reach):
                 continue
             west, east = position[r, c - reach], position[r, c + reach]
             north, south = position[r - reach, c], position[r + reach, c]
-            to_west, to_east = shown[r, c - reach], shown[r, c + reach]
-            to_north, to_south = shown[r - reach, c], shown[r + reach, c]
-            if not counts(west[2], to_west, to_east):
+            if not np.isfinite(west[2]):
                 west = p
-            if not counts(east[2], to_east, to_west):
+            if not np.isfinite(east[2]):
                 east = p
-            if not counts(north[2], to_north, to_south):
+            if not np.isfinite(north[2]):
                 north = p
-            if not counts(south[2], to_south, to_north):
+            if not np.isfinite(south[2]):
                 south = p
             ax, ay, az = east[0] - west[0], east[1] - west[1], east[2] - west[2]
             bx, by, bz = north[0] - south[0], north[1] - south[1], north[2] - south[2]
@@ -209,11 +207,3 @@ def _smooth_normals(position, shown, reach):
             if length > 0.0:
                 out[r, c, 0], out[r, c, 1], out[r, c, 2] = x / length, y / length, z / length
     return out
-
-
-@internal
-def counts(coordinate, shown, opposite_shown):
-    """Whether a smooth normal goes by the node on one side. One that is not shown, beside the data or in a hole, is there to cast:
-    it counts only where the one on the opposite side is not shown either.
-    """
-    return np.isfinite(coordinate) and (shown or not opposite_shown)

@@ -8,9 +8,6 @@ reads the same wherever it begins; less than one such cell is lost at the south 
 Holes (nodata) are no surface in the picture, but they are filled for casting: smoothly from their rims, so that no wall
 and no pit arises. Cells farther than ``FILL_CELLS`` from any data stay empty and cast nothing.
 
-A cell reaches half its side beyond its centre, and so does a raster. On a grid its surface goes on for the node next to its
-outermost ones, at the height of its border: that node casts, and shows nothing.
-
 Standing water is surface like any other: no height that is given out lies below it. Shores run where the bilinear ground rises
 out of the water, and not along cells.
 """
@@ -258,65 +255,17 @@ class Elevation:
         Heights are bilinear between cells of ``level`` (2**level cells of the raster a side), or those of the cells (``surface``).
         NaN where nothing is near.
         """
-        row, col, ends = self._on_level(level, row, col)
-        return self._heights_on_level(level, row, col, ends)
-
-    def heights_with_rim(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As ``heights_at``, of the inner ones of a grid's nodes (rows + 2, cols + 2), with a rim round the raster: nodes beside it
-        that are next to one on it, along a row, a column or a diagonal, have the height of its border, but no surface.
-
-        A raster's outermost cells go on beyond their centres, where its outermost nodes may lie. What casts has to end there with
-        the cells, and not with the nodes: a ray that leaves the nodes a hair's breadth aside is still over a cell.
-        """
-        on_row, on_col, ends = self._on_level(level, row, col)
-        if not np.isfinite(ends).all():
-            inner = row.shape[0] - 2, row.shape[1] - 2
-            return np.full(inner, np.nan, np.float32), np.zeros(inner, bool)
-        on_raster = np.isfinite(on_row)
-        place = np.nonzero(_grown(on_raster) & ~on_raster)
-        rim_row, rim_col = self._clamped(level, row[place], col[place])
-        on_row[place], on_col[place] = rim_row, rim_col
-        if np.isfinite(rim_row).any():
-            rim_ends = np.array([[np.nanmin(axis), np.nanmax(axis)] for axis in (rim_row, rim_col)])
-            ends = np.stack([np.minimum(ends, rim_ends)[:, 0], np.maximum(ends, rim_ends)[:, 1]], axis=1)
-        height, there = self._heights_on_level(level, on_row, on_col, ends)
-        there &= on_raster
-        return height[1:-1, 1:-1].copy(), there[1:-1, 1:-1].copy()
-
-    def holds(self, level: int, row: np.ndarray, col: np.ndarray) -> bool:
-        """Whether (fractional) cells of level 0 all lie on the cells of a level."""
-        rows, cols = (count * 2**level for count in self._level_shape(level))
-        inside = (row >= -0.5) & (row <= rows - 0.5) & np.isfinite(col)
-        return bool((inside if self._wrap else inside & (col >= -0.5) & (col <= cols - 0.5)).all())
-
-    def _on_level(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows and columns on a level for those of level 0, NaN beside it; and the least and the greatest of both (2, 2)."""
-        from skugga.terrain.ground.elevation_loops import on_level  # here: who asks for no height needs no compiler
+        from skugga.terrain.ground.cells import cell_heights  # here: who asks for no height needs no compiler
+        from skugga.terrain.ground.elevation_loops import bilinear, on_level
 
         rows, cols = self._level_shape(level)
         row, col = (axis.copy() if 0 in axis.strides else axis for axis in (row, col))  # what is broadcast numba does not take
         if self._wrap:
-            return on_level(row, self._columns_of_level(level, col), 2.0**level, rows, np.inf)
-        return on_level(row, col, 2.0**level, rows, np.float64(cols))
-
-    def _clamped(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The nearest rows and columns on a level, between its outermost centres, for those (n,) of level 0; NaN beyond a pole."""
-        rows, cols = self._level_shape(level)
-        on_row = np.clip((row + 0.5) / 2**level - 0.5, 0.0, rows - 1.0)
-        on_col = self._columns_of_level(level, col) if self._wrap else np.clip((col + 0.5) / 2**level - 0.5, 0.0, cols - 1.0)
-        if not self.crs.is_geographic:
-            return on_row, on_col
-        beyond = ~(np.abs(self.xy(row, col)[1]) <= 90.0)
-        return np.where(beyond, np.nan, on_row), np.where(beyond, np.nan, on_col)
-
-    def _heights_on_level(self, level: int, row: np.ndarray, col: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``heights_at`` for rows and columns on a level, of which the least and the greatest are known."""
-        from skugga.terrain.ground.cells import cell_heights
-        from skugga.terrain.ground.elevation_loops import bilinear
-
+            row, col, ends = on_level(row, self._columns_of_level(level, col), 2.0**level, rows, np.inf)
+        else:
+            row, col, ends = on_level(row, col, 2.0**level, rows, np.float64(cols))
         if not np.isfinite(ends).all():
             return np.full(row.shape, np.nan, np.float32), np.zeros(row.shape, bool)
-        rows, cols = self._level_shape(level)
         (row0, row1), (col0, col1) = ((int(np.floor(low)), int(np.floor(high)) + 2) for low, high in ends)
         row0, row1 = max(row0, 0), min(row1, rows)
         if not self._wrap:
@@ -433,17 +382,6 @@ def plausible_m(crs: CRS) -> tuple[float, float]:
     if crs.is_engineering:
         return -1e6, 1e6
     return PLAUSIBLE_M if is_on_earth(crs) else PLAUSIBLE_ELSEWHERE_M
-
-
-def _grown(mask: np.ndarray) -> np.ndarray:
-    """Where a mask (rows, cols) or one of the eight beside holds."""
-    tall = mask.copy()
-    tall[1:] |= mask[:-1]
-    tall[:-1] |= mask[1:]
-    grown = tall.copy()
-    grown[:, 1:] |= tall[:, :-1]
-    grown[:, :-1] |= tall[:, 1:]
-    return grown
 
 
 @dataclass(frozen=True, eq=False)

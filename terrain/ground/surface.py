@@ -33,7 +33,7 @@ class HeightWindow:
     """Nodes [row0, row0 + rows) x [col0, col0 + cols) of a grid.
 
     ``height_m`` is (rows, cols) float32, NaN where no surface can be (outside the data). ``there`` says where the picture shows a
-    surface: holes are filled, and ground goes on for a node beyond the raster, but neither is ``there``.
+    surface: holes are filled, but not ``there``.
     """
 
     row0: int
@@ -176,20 +176,16 @@ class Surface:
             coarser, window = Surface(self.world, self.elevation, self.grid.coarser(1)), _coarser_window(row0, col0, rows, cols)
             height, there = coarser.heights(*window)
             return _refined(height, row0 % 2, col0 % 2, rows, cols), _refined_there(there, row0 % 2, col0 % 2, rows, cols)
-        stride, around = self.stride, (row0 - 1, col0 - 1, rows + 2, cols + 2)
-        exact_rows, exact_cols, x, y = self.exact_nodes(*around, stride)
+        stride = self.stride
+        exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, stride)
         cell = self.cells_of(x, y)
         if cell is None:  # the raster's longitudes break inside: no smooth mapping to interpolate
             stride = 1
-            exact_rows, exact_cols, x, y = self.exact_nodes(*around, stride)
+            exact_rows, exact_cols, x, y = self.exact_nodes(row0, col0, rows, cols, stride)
             cell = self.cells_of(x, y, everywhere=True)
             assert cell is not None
-        exact = np.stack(cell, axis=-1)
-        if self.elevation.surface == "blocks" or self.elevation.holds(self.level, *cell):
-            located = interpolated(exact, exact_rows, exact_cols, stride, row0, col0, rows, cols)
-            return self.elevation.heights_at(self.level, located[0], located[1])
-        located = interpolated(exact, exact_rows, exact_cols, stride, *around)
-        return self.elevation.heights_with_rim(self.level, located[0], located[1])
+        located = interpolated(np.stack(cell, axis=-1), exact_rows, exact_cols, stride, row0, col0, rows, cols)
+        return self.elevation.heights_at(self.level, located[0], located[1])
 
     def exact_nodes(self, row0: int, col0: int, rows: int, cols: int, stride: int) -> tuple[int, int, np.ndarray, np.ndarray]:
         """First exact row and column (in strides), and x, y of the exact nodes that a window needs."""
