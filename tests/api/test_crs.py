@@ -156,7 +156,7 @@ def test_no_crs_of_proj_is_wrong_in_silence(tmp_path):
         ("IAU_2015:51300", "the sun's rays bend"),  # Leda, 5 km in radius
         ("IAU_2015:50855", "beyond the area of its CRS"),  # Pasiphae, at the edge of a map of all of it
         ("IAU_2015:1025", "coordinates below 1e9"),  # the Sun
-        ("IAU_2015:200417940", "the sun's rays bend|beyond the area of its CRS"),  # Toutatis, off its map for a camera's fit
+        ("IAU_2015:200417940", "outside of the area of"),  # Toutatis, off its map for a camera's fit
     ],
 )
 def test_a_body_that_cannot_be_shaded_is_refused_by_its_crs(tmp_path, code, said):

@@ -246,7 +246,8 @@ def test_doctor_finds_this_machine_able_to_draw(gl, run):
 def test_a_raster_is_a_level(gl, run, tmp_path):
     row, col = np.mgrid[:200, :200].astype(np.float32)
     raster = write_geotiff(tmp_path / "hills.tif", 400 * np.sin(col / 9) * np.cos(row / 13), "EPSG:32633", 500e3, 5200e3, 30.0)
-    assert run("render", str(raster), "--layer", "mask", "-o", str(tmp_path / "mask.png")) == (0, "", "")
+    status, out, err = run("render", str(raster), "--layer", "mask", "-o", str(tmp_path / "mask.png"))
+    assert (status, out, err.count("\n")) == (0, "", 1) and "its own light" in err and "--time" in err
     mask = np.asarray(Image.open(tmp_path / "mask.png"))
     assert 0.05 < (mask == MASK_SHADOW).mean() < 0.6
     status, out, _ = run("validate", str(raster))

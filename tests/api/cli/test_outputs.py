@@ -113,7 +113,8 @@ def test_a_full_disk_is_told_and_leaves_the_old_file(run, folder, full_disk, out
     layer = output.partition(".")[0]
     (folder / output).write_bytes(b"old")
     with full_disk(500):
-        status, _, err = run("render", "dem.tif", "--layer", layer, "--size", "200x200", "-o", output)
+        sun = ("--azimuth", "225", "--altitude", "30")
+        status, _, err = run("render", "dem.tif", "--layer", layer, *sun, "--size", "200x200", "-o", output)
     assert status == 1 and err.count("\n") == 1 and output in err
     assert (folder / output).read_bytes() == b"old" and not list(folder.glob(".*"))
 

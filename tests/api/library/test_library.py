@@ -126,7 +126,7 @@ def test_rows_from_south_to_north_and_turned_dimensions(heights):
     southern_first = heights.isel(y=slice(None, None, -1)).skugga.shadow(**LOW)
     assert float(southern_first.y[0]) < float(southern_first.y[-1])
     xarray.testing.assert_equal(southern_first.isel(y=slice(None, None, -1)), dark)
-    xarray.testing.assert_equal(heights.T.skugga.shadow(**LOW), dark)
+    xarray.testing.assert_equal(heights.T.skugga.shadow(**LOW), dark.T)
 
 
 @THREADED
