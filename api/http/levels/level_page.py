@@ -55,8 +55,7 @@ def level_page(level: ServedLevel, base: str) -> str:
         picture=f"{name}/snapshot.webp?view=map" if off_earth else f"{name}/map.webp",
         facts="\n".join(f"<tr><th>{escape(key)}</th><td>{value}</td></tr>" for key, value in _facts(level)),
         snippets="\n".join(
-            f"<h2>{escape(title)}</h2>\n<pre>{escape(text)}</pre>"
-            for title, text in (() if off_earth else snippets(level, base))
+            f"<h2>{escape(title)}</h2>\n<pre>{escape(text)}</pre>" for title, text in (() if off_earth else snippets(level, base))
         ),
     )
 
