@@ -58,8 +58,8 @@ def write_rasters(folder: Path) -> list[Path]:
 
 def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[float, float]] = ()) -> None:
     """Draw tiles of levels: colours at coarse zooms, at the data's own and magnified, under some suns; other layers at one zoom."""
-    from skugga.api.http.first_blocks import first_block
-    from skugga.api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevels
+    from skugga.api.http.server.first_blocks import first_block
+    from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevels
     from skugga.api.matrices import OVERZOOMS
     from skugga.api.workers.jobs import PictureRequest
     from skugga.api.workers.render_worker import run_job
@@ -132,8 +132,8 @@ def masks(rasters: Sequence[Path], folder: Path) -> None:
 
 
 def sun_hours(rasters: Sequence[Path], folder: Path) -> None:
-    from skugga.api.http.first_blocks import first_blocks
-    from skugga.api.http.served_levels import ServedLevels
+    from skugga.api.http.server.first_blocks import first_blocks
+    from skugga.api.http.state.served_levels import ServedLevels
     from skugga.api.sun_hours_layer import SunHoursQuery
     from skugga.api.workers.jobs import SunHoursJob
     from skugga.api.workers.render_worker import run_job

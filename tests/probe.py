@@ -17,7 +17,7 @@ import httpx
 import numpy as np
 
 from skugga.api.cli import main as cli
-from skugga.api.http.app import create_app
+from skugga.api.http.server.app import create_app
 from skugga.api.layers import encode_picture, picture_layer
 from skugga.api.settings import Settings
 from skugga.api.workers.block_tiles import PicturedBlock, encoded_tiles

@@ -15,6 +15,8 @@ from skugga.api.workers.jobs import BlockTiles, Snapshot
 
 VERSION = version("skugga")
 
+JSON_MEDIA = "application/json"
+
 OWN_SUN_S = 3600
 """How long a picture under the level's own sun is fresh: the operator may give the level another one."""
 
@@ -86,7 +88,7 @@ def wants_page(request: Request) -> bool:
 
 def json_answer(request: Request, value: object, **more: str) -> Response:
     """A JSON answer, with ``more`` headers, or 304 where the client has it."""
-    return document_answer(request, bytes(JSONResponse(value).body), "application/json", **more)
+    return document_answer(request, bytes(JSONResponse(value).body), JSON_MEDIA, **more)
 
 
 def document_answer(request: Request, body: bytes, media_type: str, **more: str) -> Response:

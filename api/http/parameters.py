@@ -13,7 +13,7 @@ from pydantic import BeforeValidator
 
 from skugga.api.http.moments import PLAIN_DATE, asked_sun
 from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD
-from skugga.api.http.service import service_of
+from skugga.api.http.state.service import service_of
 from skugga.api.layers import BETWEEN_LAYERS, LAYERS, MAP_LAYERS, PICTURE_LAYERS, ViewLayer
 from skugga.api.shadow_parameters import takes_settings
 from skugga.api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery, SunQuantity

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -82,9 +82,6 @@ from skugga.terrain.gl import device as gl
 from skugga.terrain.gl.egl_devices import take_turn
 from skugga.terrain.level.level import SUN, Shadows
 from skugga.terrain.scene import Scene
-
-if TYPE_CHECKING:
-    pass
 
 IDLE_S = 1.0
 """How long a process that is ready waits for a job before it prepares for later ones."""

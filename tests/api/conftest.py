@@ -19,10 +19,10 @@ from fastapi import FastAPI
 from morecantile import tms as matrix_sets
 from pmtiles.tile import zxy_to_tileid
 
-from skugga.api.http.app import create_app
-from skugga.api.http.bounded_headers import BoundedHeaders
-from skugga.api.http.server import Server, log_config
-from skugga.api.http.service import Service
+from skugga.api.http.server.app import create_app
+from skugga.api.http.server.bounded_headers import BoundedHeaders
+from skugga.api.http.server.server import Server, log_config
+from skugga.api.http.state.service import Service
 from skugga.api.seed.archive import ArchiveFacts, ShardIndex, write_archive
 from skugga.api.settings import Settings
 from skugga.api.workers.block_tiles import empty_tile

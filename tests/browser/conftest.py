@@ -22,8 +22,8 @@ import pytest
 from playwright.sync_api import Browser, Error, FloatRect, Page, ViewportSize, expect, sync_playwright
 
 from skugga.api.catalogue import find_level
-from skugga.api.http.app import create_app
-from skugga.api.http.routes_viewer import STATIC_FOLDER
+from skugga.api.http.server.app import create_app
+from skugga.api.http.server.routes_viewer import STATIC_FOLDER
 from skugga.api.settings import Settings
 from tests.api.conftest import Client, running
 from tests.browser.map_clients import CLIENTS, LEVEL, LIBRARIES, WINDOW_PX, MapClient, served_folder

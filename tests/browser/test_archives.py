@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from skugga.api.http.app import create_app
-from skugga.api.http.archive_file import ArchiveFile
+from skugga.api.http.server.app import create_app
+from skugga.api.http.state.archive_file import ArchiveFile
 from skugga.api.settings import Settings
 from tests.api.conftest import Client, running, write_tiles
 from tests.api.seed.pmtiles_checker import checked

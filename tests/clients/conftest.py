@@ -10,8 +10,8 @@ import pytest
 from morecantile import tms
 
 from skugga.api.catalogue import find_level
-from skugga.api.http.app import create_app
-from skugga.api.http.served_levels import DEFAULT_MATRIX_SET
+from skugga.api.http.server.app import create_app
+from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET
 from skugga.api.settings import Settings
 from tests.api.conftest import Client, running
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from skugga.api.http.served_levels import DEFAULT_MATRIX_SET
+from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET
 from tests.api.conftest import Client
 from tests.clients.conftest import LEVEL, MATRIX_SET
 from tests.golden import OUTPUT

@@ -16,7 +16,7 @@ import pytest
 import shapely
 
 from skugga.api.cli import main as cli
-from skugga.api.http.app import create_app
+from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
 from skugga.selector.candidates import MAX_CANDIDATES, candidates
 from skugga.selector.planner.planner import make_plan

@@ -54,7 +54,7 @@ def serve(
         with suppress(OSError):  # one is started again later, as whenever that fails
             spawned = Spawned(worker_main, first_config(settings))
             spawned.start()  # before the imports of this process, which take as long as its own
-    from skugga.api.http.server import serve as run
+    from skugga.api.http.server.server import serve as run
 
     try:
         run(settings, drawn, [each.path for each in archives], spawned)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from skugga.api import map_probing
-from skugga.api.http.served_levels import ServedLevels
+from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.map_probing import map_block, probe_blocks, probed_scales
 from skugga.api.workers.jobs import Tiles
 from skugga.api.workers.map_plans import plan_in_service, unprobed_class

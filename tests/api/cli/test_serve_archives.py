@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from skugga.api.http import server
+from skugga.api.http.server import server
 from tests.api.conftest import PNG, write_level, write_tiles
 
 

@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 from skugga.api.cli.snapshot import snapshot
-from skugga.api.http.app import create_app
-from skugga.api.http.served_levels import ServedLevels
+from skugga.api.http.server.app import create_app
+from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW, encode_picture, picture_layer
 from skugga.api.settings import Settings
 from skugga.api.workers.jobs import LevelKey

@@ -11,8 +11,8 @@ import rasterio
 
 from skugga.api.cli.level_argument import _find_named
 from skugga.api.http import answers
-from skugga.api.http.app import create_app
-from skugga.api.http.served_levels import ServedLevels
+from skugga.api.http.server.app import create_app
+from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.settings import Settings
 from skugga.shadows.point.place import place_at
 from skugga.terrain.errors import InputError

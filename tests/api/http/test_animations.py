@@ -20,8 +20,8 @@ from httpx import Response
 from PIL import Image
 
 from skugga.api.cli import main as cli
-from skugga.api.http.animation_states import RESULTS, byte_range
-from skugga.api.http.app import create_app
+from skugga.api.http.server.app import create_app
+from skugga.api.http.views.animation_states import RESULTS, byte_range
 from skugga.api.settings import Settings
 from tests.api.conftest import CORNER, ENGINEERING, ZOOM, Client, running, write_level
 from tests.api.http.test_problems import check_problem
@@ -391,7 +391,7 @@ def test_a_body_that_is_none(filming: Client):
 
 
 def test_mp4_is_refused_where_there_is_no_encoder_of_it(filming: Client, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("skugga.api.http.asked_animation.find_spec", lambda name: None)
+    monkeypatch.setattr("skugga.api.http.views.asked_animation.find_spec", lambda name: None)
     problem = check_problem(filming.post(ADDRESS, json=ASKED | {"format": "mp4"}), 422, "invalid_parameter", "format")
     assert "no encoder of mp4" in problem["detail"]
 

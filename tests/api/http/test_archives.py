@@ -17,10 +17,10 @@ from pmtiles.tile import Compression, TileType, tileid_to_zxy
 from pmtiles.writer import Writer
 
 from skugga.api.errors import ArchiveError
-from skugga.api.http import archive_file
-from skugga.api.http.app import create_app
-from skugga.api.http.archive_file import ArchiveFile
-from skugga.api.http.served_archives import in_utc
+from skugga.api.http.server.app import create_app
+from skugga.api.http.state import archive_file
+from skugga.api.http.state.archive_file import ArchiveFile
+from skugga.api.http.state.served_archives import in_utc
 from skugga.api.seed.archive import first_tile_id
 from skugga.api.settings import Settings
 from skugga.terrain.errors import InputError, LevelError

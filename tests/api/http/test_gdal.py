@@ -17,7 +17,7 @@ import pytest
 from morecantile import tms
 from PIL import Image
 
-from skugga.api.http.served_levels import DEFAULT_MATRIX_SET
+from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET
 from skugga.terrain.level.gdal_guard import NO_REMOTE_READS
 from tests.api.conftest import CORNER, ZOOM, Client
 

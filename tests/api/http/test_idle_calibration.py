@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from skugga.api.http.app import create_app
-from skugga.api.http.server import log_config
+from skugga.api.http.server.app import create_app
+from skugga.api.http.server.server import log_config
 from skugga.api.settings import Settings
 from skugga.api.workers import idle_calibration, idle_work
 from skugga.api.workers.process_life import is_stopped

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from skugga.api import map_probing
-from skugga.api.http.app import create_app
+from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
 from skugga.api.workers import idle_probes
 from skugga.api.workers.idle_probes import probed_level

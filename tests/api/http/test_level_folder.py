@@ -17,8 +17,8 @@ import httpx
 import pytest
 
 from skugga.api.errors import exit_status
-from skugga.api.http.app import create_app
-from skugga.api.http.served_levels import ServedLevels
+from skugga.api.http.server.app import create_app
+from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.settings import Settings
 from skugga.api.workers.jobs import Failure, Ping, Pong, Ready
 from skugga.api.workers.worker_config import WorkerConfig

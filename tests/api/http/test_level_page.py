@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from skugga.api.http.app import create_app
-from skugga.api.http.level_page import level_page
+from skugga.api.http.levels.level_page import level_page
+from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
 from tests.api.workers import fake_workers

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
-from skugga.api.http.served_levels import ServedLevels
+from skugga.api.http.state.served_levels import ServedLevels
 from tests.api.conftest import SUN, Client, write_level
 
 TILEJSON = "/levels/{}/WebMercatorQuad/tilejson.json"

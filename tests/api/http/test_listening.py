@@ -9,7 +9,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from skugga.api.http.server import connection_limit
+from skugga.api.http.server.server import connection_limit
 from skugga.api.settings import Settings
 from tests.api.conftest import Client
 from tests.api.workers import fake_workers

@@ -15,7 +15,7 @@ from pyproj import Transformer
 from rasterio.io import MemoryFile
 
 from skugga.api.color_scale import ColorScale
-from skugga.api.http.map_extents import crs_code, crs_of_code, map_size, north_first, parse_bounds
+from skugga.api.http.tiles.map_extents import crs_code, crs_of_code, map_size, north_first, parse_bounds
 from skugga.terrain.errors import InputError
 from tests.api.conftest import CELL_M, CELLS, CORNER, ZOOM, Client
 from tests.api.http.test_problems import check_problem

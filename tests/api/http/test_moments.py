@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from skugga.api.errors import TooManySunsError
 from skugga.api.http.moments import rounded_time
-from skugga.api.http.new_suns import NewSuns, network_of
+from skugga.api.http.state.new_suns import NewSuns, network_of
 from tests.api.conftest import CORNER, ZOOM
 from tests.api.http.test_problems import check_problem
 from tests.api.workers import fake_workers

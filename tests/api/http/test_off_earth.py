@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from httpx import Client
 
-from skugga.api.http.app import create_app
+from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
 from tests.api.conftest import running
 from tests.api.crs_towers import plain_with_tower

@@ -25,23 +25,15 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from skugga.api.http import (
-    routes_animations,
-    routes_archives,
-    routes_health,
-    routes_level_page,
-    routes_levels,
-    routes_map,
-    routes_plan,
-    routes_point,
-    routes_snapshot,
-    routes_tiles,
-    routes_wms,
-    routes_wmts,
-)
-from skugga.api.http.app import create_app
-from skugga.api.http.cameras import CAMERA_PARAMETERS
+from skugga.api.http.levels import routes_level_page, routes_levels, routes_plan
+from skugga.api.http.ogc import routes_wms, routes_wmts
+from skugga.api.http.points import routes_point
 from skugga.api.http.problems import MEDIA_TYPE, problem_kinds
+from skugga.api.http.server import routes_health
+from skugga.api.http.server.app import create_app
+from skugga.api.http.tiles import routes_archives, routes_map, routes_tiles
+from skugga.api.http.views import routes_animations, routes_snapshot
+from skugga.api.http.views.cameras import CAMERA_PARAMETERS
 from skugga.api.settings import Settings
 from tests.api.conftest import CORNER, ENGINEERING, ZOOM, Client, running, write_level
 from tests.api.http.test_problems import check_problem

@@ -12,10 +12,10 @@ from pydantic_core import PydanticUndefined
 
 from skugga.api.animations.animations import Animations
 from skugga.api.animations.drawing import frames_drawn_by, write_animation
-from skugga.api.http.encoded_tiles import EncodedTiles
-from skugga.api.http.metrics import ServiceMetrics
+from skugga.api.http.levels.sent_descriptor import MAX_BANDS, MAX_LAMPS
 from skugga.api.http.problems import problem_kinds
-from skugga.api.http.sent_descriptor import MAX_BANDS, MAX_LAMPS
+from skugga.api.http.state.encoded_tiles import EncodedTiles
+from skugga.api.http.state.metrics import ServiceMetrics
 from skugga.api.settings import Settings
 from skugga.api.workers.pool import Pool
 

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from skugga.api.http.sent_descriptor import MAX_LAMPS, FactsByEffect, SentDescriptor
+from skugga.api.http.levels.sent_descriptor import MAX_LAMPS, FactsByEffect, SentDescriptor
 from skugga.api.settings import Settings
 from skugga.api.workers.jobs import DescribedPlanJob, Tiles
 from skugga.api.workers.plan_basis import PlanBasis

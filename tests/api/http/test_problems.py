@@ -10,8 +10,8 @@ import pytest
 from starlette.requests import Request
 
 from skugga.api.errors import OUTCOMES
-from skugga.api.http.app import create_app
 from skugga.api.http.problems import domain_problem
+from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
 from skugga.terrain.errors import BusyError, InputError, RenderTimeoutError, SkuggaError
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level

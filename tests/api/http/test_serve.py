@@ -19,7 +19,7 @@ SOON_S = 60
 SERVE = """
 import sys
 from pathlib import Path
-from skugga.api.http.server import serve
+from skugga.api.http.server.server import serve
 from skugga.api.settings import Settings
 
 if __name__ == "__main__":
@@ -29,7 +29,7 @@ if __name__ == "__main__":
 LOOK_INSIDE = f"""
 import sys
 from pathlib import Path
-from skugga.api.http.app import create_app
+from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
 from skugga.terrain.gl import device as gl
 from tests.api.conftest import running

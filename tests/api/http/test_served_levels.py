@@ -9,8 +9,8 @@ import rasterio.shutil
 
 from skugga.api.catalogue import bundled_levels
 from skugga.api.errors import exit_status
-from skugga.api.http.app import create_app
-from skugga.api.http.served_levels import ServedLevels
+from skugga.api.http.server.app import create_app
+from skugga.api.http.state.served_levels import ServedLevels
 from skugga.api.level_summary import remarks
 from skugga.api.settings import Settings
 from skugga.api.workers.jobs import LevelKey

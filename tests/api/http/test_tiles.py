@@ -11,8 +11,8 @@ import pytest
 from morecantile import tms as matrix_sets
 from PIL import Image
 
-from skugga.api.http.app import create_app
-from skugga.api.http.level_checks import LevelCheck
+from skugga.api.http.server.app import create_app
+from skugga.api.http.state.level_checks import LevelCheck
 from skugga.api.layers import picture_layer
 from skugga.api.settings import Settings
 from skugga.api.workers.block_tiles import encode

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from fastapi import FastAPI
 
-from skugga.api.http import routes_viewer
-from skugga.api.http.app import create_app
+from skugga.api.http.server import routes_viewer
+from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
 from tests.api.conftest import Client, running
 from tests.api.workers import fake_workers

@@ -15,9 +15,9 @@ from owslib.wmts import WebMapTileService
 from PIL import Image
 from pyproj import CRS
 
-from skugga.api.http.app import create_app
-from skugga.api.http.ogc_times import TimeDimension, date_asked, instant_asked, time_dimension
-from skugga.api.http.ogc_xml import lon_lat_box
+from skugga.api.http.ogc.ogc_times import TimeDimension, date_asked, instant_asked, time_dimension
+from skugga.api.http.ogc.ogc_xml import lon_lat_box
+from skugga.api.http.server.app import create_app
 from skugga.api.settings import Settings
 from skugga.terrain.errors import InputError
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level

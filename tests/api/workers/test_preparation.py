@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from skugga.api.http.first_blocks import first_block, first_blocks
-from skugga.api.http.served_levels import DEFAULT_MATRIX_SET, ServedLevels
+from skugga.api.http.server.first_blocks import first_block, first_blocks
+from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevels
 from skugga.api.workers import preparation
 from skugga.api.workers.preparation import prepare_level
 from skugga.api.workers.worker_state import WorkerState

@@ -12,7 +12,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 import pytest
 
-from skugga.api.http.served_levels import ServedLevels
+from skugga.api.http.state.served_levels import ServedLevels
 from skugga.terrain.errors import LevelError, SourceError
 from skugga.terrain.geo.vectors import read_features
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE

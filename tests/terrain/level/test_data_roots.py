@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from skugga.api.http.served_levels import ServedLevels
+from skugga.api.http.state.served_levels import ServedLevels
 from skugga.terrain.errors import LevelError
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource

@@ -1,0 +1,1 @@
+"""What is said of levels: their list, pages, TileJSON and plans."""

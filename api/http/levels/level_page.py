@@ -1,0 +1,152 @@
+"""The page of a level: its picture, facts, and lines to copy into map clients."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from html import escape
+from urllib.parse import quote
+
+from fastapi import Request, Response
+
+from skugga.api.http.answers import base_url, document_answer
+from skugga.api.http.ogc.ogc_requests import layer_name
+from skugga.api.http.ogc.wmts_capabilities import hangs_on_time
+from skugga.api.http.parameters import TileQuery
+from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
+from skugga.api.http.state.service import Service
+from skugga.api.layers import LAYERS, MAP_LAYERS
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>{title}</title>
+<link rel="icon" href="data:,">
+<link rel="alternate" type="application/json" href="{name}">
+<style>
+body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
+  color: #222; background: #fff; }}
+img {{ max-width: 100%; max-height: 70vh; height: auto; background: #eee; }}
+th {{ text-align: left; vertical-align: top; padding-right: 1.5rem; font-weight: 600; white-space: nowrap; }}
+pre {{ background: #f4f4f2; padding: .6rem .8rem; overflow-x: auto; user-select: all; font-size: 14px; }}
+h2 {{ margin-top: 2rem; }}
+</style>
+</head>
+<body>
+<h1>{title}</h1>
+<p><img src="{picture}" alt="{title}, seen from above"></p>
+<table>
+{facts}
+</table>
+{snippets}
+<p><a href="../">All levels, on a map</a> · <a href="../docs">interface</a></p>
+</body>
+</html>
+"""
+
+
+def level_page(level: ServedLevel, base: str) -> str:
+    """The page, to be read beside ``/levels``: its links are relative to that."""
+    name = quote(level.name)
+    off_earth = level.world.off_earth is not None
+    return _PAGE.format(
+        title=escape(level.loaded.level.title or level.name),
+        name=name,
+        picture=f"{name}/snapshot.webp?view=map" if off_earth else f"{name}/map.webp",
+        facts="\n".join(f"<tr><th>{escape(key)}</th><td>{value}</td></tr>" for key, value in _facts(level)),
+        snippets="\n".join(
+            f"<h2>{escape(title)}</h2>\n<pre>{escape(text)}</pre>" for title, text in (() if off_earth else snippets(level, base))
+        ),
+    )
+
+
+def snippets(level: ServedLevel, base: str, shown: TileQuery | None = None) -> Iterator[tuple[str, str]]:
+    """Lines for map clients, each with the client's name; those of XYZ tiles have what is ``shown`` in their addresses (default:
+    the level as it is), while clients of WMTS and WMS choose layer and time by themselves.
+    """
+    assert level.bounds is not None
+    query = "" if shown is None else shown.query()
+    asked = query and f"?{query}"
+    address = f"{base}/levels/{quote(level.name)}"
+    wmts, wms = f"{address}/WMTSCapabilities.xml", f"{address}/wms"
+    attribution = (level.loaded.level.attribution or "").replace("\\", "\\\\").replace("'", "\\'")
+    west, south, east, north = level.bounds
+    if DEFAULT_MATRIX_SET in level.zooms:
+        zooms = level.zooms[DEFAULT_MATRIX_SET]
+        tiles = f"{address}/tiles/{DEFAULT_MATRIX_SET}/{{z}}/{{x}}/{{y}}"
+        picture = f"{tiles}.png{asked}"
+        tilejson = f"{address}/{DEFAULT_MATRIX_SET}/tilejson.json{asked}"
+        yield (
+            "MapLibre",
+            f"map.addSource('skugga', {{type: 'raster', url: '{tilejson}', tileSize: 256}});\n"
+            "map.addLayer({id: 'skugga', type: 'raster', source: 'skugga'});",
+        )
+        yield (
+            "MapLibre, in three dimensions",
+            f"map.addSource('heights', {{type: 'raster-dem', tiles: ['{tiles}.png?layer=terrarium'], encoding: 'terrarium', "
+            f"tileSize: 256, minzoom: {zooms.first}, maxzoom: {zooms.last}}}); map.setTerrain({{source: 'heights'}});",
+        )
+        yield (
+            "Leaflet",
+            f"L.tileLayer('{picture}', {{minZoom: {zooms.first}, maxZoom: {zooms.last}, "
+            f"bounds: [[{south:.6g}, {west:.6g}], [{north:.6g}, {east:.6g}]], attribution: '{attribution}'}}).addTo(map);",
+        )
+        yield (
+            "OpenLayers",
+            f"map.addLayer(new ol.layer.Tile({{source: new ol.source.XYZ({{url: '{picture}', minZoom: {zooms.first}, "
+            f"maxZoom: {zooms.last}, attributions: '{attribution}'}})}}));",
+        )
+        yield (
+            "OpenLayers, by WMTS",
+            f"const capabilities = new ol.format.WMTSCapabilities().read(await (await fetch('{wmts}')).text());\n"
+            f"const options = ol.source.WMTS.optionsFromCapabilities(capabilities, {{layer: '{layer_name(level, 'color')}', "
+            f"matrixSet: '{DEFAULT_MATRIX_SET}'}});\n"
+            "map.addLayer(new ol.layer.Tile({source: new ol.source.WMTS(options)}));",
+        )
+        yield (
+            "ipyleaflet",
+            f"m.add(ipyleaflet.TileLayer(url='{picture}', min_zoom={zooms.first}, max_zoom={zooms.last}, "
+            f"attribution='{attribution}'))",
+        )
+        yield "QGIS, XYZ tiles", picture
+    yield "QGIS and ArcGIS, WMTS with times", wmts
+    yield "WMS", f"{wms}?SERVICE=WMS&REQUEST=GetCapabilities"
+    yield "GDAL", f'gdal_translate "WMTS:{wmts},layer={layer_name(level, "color")}" level.tif'
+
+
+def _facts(level: ServedLevel) -> Iterator[tuple[str, str]]:
+    """Facts with their names, as HTML."""
+    name, said = quote(level.name), level.loaded.level
+    if level.bounds is not None:
+        west, south, east, north = level.bounds
+        yield "Bounds", f"{west:.5f}, {south:.5f}, {east:.5f}, {north:.5f} (west, south, east, north; degrees)"
+        yield "Own maps", escape(level.map_crs.name)
+    yield "Lowest ground", f"{level.lowest_m:.0f} m"
+    if said.sun is not None and said.sun != "none":
+        sun = said.sun
+        angles = f"azimuth {sun.azimuth:g}°, altitude {sun.altitude:g}°" if sun.time is None else sun.time.isoformat()
+        yield "Own sun", escape(angles)
+    if DEFAULT_MATRIX_SET in level.zooms:
+        zooms = level.zooms[DEFAULT_MATRIX_SET]
+        yield "Zooms", f"{zooms.first} to {zooms.last} of {DEFAULT_MATRIX_SET}"
+        yield "Tile matrix sets", escape(", ".join(level.zooms))
+        yield "Layers", "; ".join(_layer_link(name, layer) for layer in MAP_LAYERS if hangs_on_time(layer))
+    views = [view for view, size in level.view_sizes.items() if size is not None]
+    yield "Views", ", ".join(f'<a href="{name}/snapshot.png?view={quote(view)}">{escape(view)}</a>' for view in views)
+    if level.world.off_earth is None:
+        yield "For QGIS", f'<a href="{name}.qlr">{escape(level.name)}.qlr</a>, to be dragged into its window'
+    if said.attribution:
+        yield "Attribution", escape(said.attribution)
+    for warning in level.warnings:
+        yield "Warning", escape(warning)
+
+
+def _layer_link(name: str, layer: str) -> str:
+    suffix = "png" if "png" in LAYERS[layer].map_formats else "tif"
+    return f'<a href="{name}/map.{suffix}?layer={layer}">{layer}</a>'
+
+
+async def page_answer(request: Request, service: Service, level: ServedLevel, **headers: str) -> Response:
+    """The page of a level."""
+    page = level_page(level, base_url(request, service.settings.public_url))
+    return document_answer(request, page.encode(), "text/html", **headers)

@@ -1,0 +1,76 @@
+"""Pages of levels, and their layers for QGIS."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request, Response
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel
+from starlette.concurrency import run_in_threadpool
+
+from skugga.api.http.answers import base_url, document_answer, json_answer
+from skugga.api.http.documented import LEVEL_ERRORS, LevelPath, file_docs, problem_docs
+from skugga.api.http.levels.level_page import page_answer, snippets
+from skugga.api.http.ogc.ogc_requests import this_year
+from skugga.api.http.ogc.qgis_layers import qgis_layers
+from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
+from skugga.api.http.state.service import TheService
+from skugga.terrain.errors import UnsupportedError
+
+router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS), default_response_class=Response)
+
+NO_PARAMETERS = [Depends(allow_only())]
+
+QLR_MEDIA = "application/x-qgis-layer-definition"
+
+
+@router.get(
+    "/levels/{level}.html", summary="A level as a page", responses=file_docs("The page.", ["text/html"]), dependencies=NO_PARAMETERS
+)
+async def page_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
+    """Its picture, facts, and lines to copy into MapLibre, Leaflet, OpenLayers, QGIS and ipyleaflet."""
+    return await page_answer(request, service, await service.level(level))
+
+
+@router.get(
+    "/levels/{level}.qlr",
+    summary="A level's layers for QGIS",
+    responses=file_docs("The file.", [QLR_MEDIA]),
+    dependencies=NO_PARAMETERS,
+)
+async def qgis_layers_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
+    """A file to be dragged into QGIS: shaded relief, shadows and hours of sun by WMTS, with times, and heights."""
+    served = await service.level(level)
+    if not served.zooms:
+        raise UnsupportedError("level", level, f"{served.world.off_earth or 'it lies outside of all maps'}, so there are no tiles")
+    base = base_url(request, service.settings.public_url)
+    return document_answer(request, await run_in_threadpool(qgis_layers, served, base, this_year()), QLR_MEDIA)
+
+
+class ClientLines(BaseModel):
+    """Lines to copy into a map client."""
+
+    client: str
+    text: str
+
+
+@router.get(
+    "/levels/{level}/lines.json",
+    summary="Lines for map clients",
+    response_model=list[ClientLines],
+    responses=file_docs("The lines.", ["application/json"]),
+    dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
+    response_class=JSONResponse,
+)
+async def lines_of_level(
+    request: Request, service: TheService, level: LevelPath, shown: Annotated[TileQuery, Depends(tile_query)]
+) -> Response:
+    """Lines to copy into MapLibre, Leaflet, OpenLayers, QGIS, GDAL and others, as the level's page has them; those of XYZ tiles
+    show what the query asks of the tiles.
+    """
+    served = await service.level(level)
+    if served.world.off_earth is not None:
+        raise UnsupportedError("level", level, f"{served.world.off_earth}, so there are no tiles")
+    lines = snippets(served, base_url(request, service.settings.public_url), shown)
+    return json_answer(request, [{"client": client, "text": text} for client, text in lines])

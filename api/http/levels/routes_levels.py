@@ -1,0 +1,133 @@
+"""What is served: levels and their TileJSON."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Annotated, Any
+from urllib.parse import quote
+
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from skugga.api.color_scale import LEGEND_MEDIA_TYPES, LegendFormat
+from skugga.api.http.answers import JSON_MEDIA, base_url, json_answer, wants_page
+from skugga.api.http.documented import LEVEL_ERRORS, LevelPath, MatrixSetPath, file_docs, for_example, problem_docs
+from skugga.api.http.levels.level_page import page_answer
+from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
+from skugga.api.http.state.service import TheService
+from skugga.api.http.tiles.legends import legend_answer
+from skugga.api.http.tiles.tilejson import encoding_entry, tilejson_answer
+from skugga.api.layers import LAYERS, MapFormat, nodata_height_m
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.terrain.errors import InputError
+
+router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS))
+
+
+@router.get(
+    "/levels",
+    summary="The levels",
+    dependencies=[Depends(allow_only())],
+    response_model=list[dict[str, Any]],
+    responses=file_docs("All levels.", [JSON_MEDIA]),
+)
+async def levels(request: Request, service: TheService) -> Response:
+    """Every level: its name, title, attribution, bounds in degrees, zooms, views, lights, layers, algorithms, sun, and
+    `warnings` on what may be wrong with its files.
+
+    `view_kinds` says of each view whether it is a `map` or `perspective`, and its width and height in pixels.
+    `bounds`, `minzoom`, `maxzoom` and `time_zone` (of its middle, as Europe/Oslo) are null where a level has no place on earth.
+    `sun_is_default` is true where the level names no sun: `sun` is then a low one of its place.
+    """
+    served = await service.all_levels()
+    return json_answer(request, [level.summary() for level in served])
+
+
+@router.get(
+    "/levels/{level}",
+    summary="A level",
+    dependencies=[Depends(allow_only())],
+    response_model=dict[str, Any],
+    responses=file_docs("The level, or its page.", [JSON_MEDIA, "text/html"]),
+)
+async def level(request: Request, service: TheService, level: LevelPath) -> Response:
+    """One level, as in the list; for a browser its page."""
+    served = await service.level(level)
+    if wants_page(request):
+        return await page_answer(request, service, served, Vary="Accept")
+    return json_answer(request, served.summary(), Vary="Accept")
+
+
+@router.get(
+    "/levels/{level}/{tms}/tilejson.json",
+    summary="TileJSON",
+    dependencies=[Depends(allow_only("format", *TILE_PARAMETERS))],
+    response_model=dict[str, Any],
+    responses=file_docs("TileJSON.", [JSON_MEDIA]),
+)
+async def tilejson(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    tms: MatrixSetPath,
+    wanted: Annotated[TileQuery, Depends(tile_query)],
+    format: Annotated[MapFormat, Query(description="Of the tiles.", examples=["webp"])] = "png",
+) -> Response:
+    """TileJSON 3.0.0 for map clients; what is asked of the picture is asked of its tiles.
+
+    Beyond the standard, `skugga` has the `layer`, the `tile_matrix_set` and the `sun`: its `azimuth` and apparent
+    `altitude` in degrees at the level's anchor, and its `time` where one was given (null: the level has no sun, or the layer is of
+    many). Layers with a legend have it as a picture, and in `skugga.legend` as numbers, labels and colours. Layers of heights have
+    their `encoding`, which MapLibre does not read from here (its source needs it, too), and the `nodata_height` in metres that they
+    tell where there are no data.
+    """
+    served = await service.level(level)
+    zooms = served.zooms_in(tms)
+    encoding = None if wanted.sun_hours is not None else LAYERS[wanted.layer].encoding
+    sun = None if wanted.sun_hours is not None or encoding is not None else await run_in_threadpool(served.sun, wanted.picture.sun)
+    where: dict[str, Any] | None = None
+    if sun is not None:
+        time_default = {} if sun.time is None else {"time": sun.time.isoformat()}
+        where = {**time_default, "azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg}
+    assert served.bounds is not None  # it has zooms, so it has a place on earth
+    query = wanted.query()
+    address = f"{base_url(request, service.settings.public_url)}/levels/{quote(served.name)}"
+    tiles = f"{address}/tiles/{tms}/{{z}}/{{x}}/{{y}}.{format}"
+    more = encoding_entry(encoding)
+    extra: dict[str, Any] = {"layer": wanted.layer, "tile_matrix_set": tms, "sun": where}
+    if more:
+        extra["nodata_height"] = nodata_height_m(served.lowest_m)
+    if wanted.sun_hours is not None:
+        scale = await run_in_threadpool(wanted.sun_hours.color_scale, served.world)
+        picture = f"{address}/legend.png?{query}"
+        more["legend"] = f'<img src="{escape(picture)}" alt="{escape(scale.title)}">'
+        extra["legend"] = {
+            "title": scale.title, "low": scale.low, "high": scale.high, "picture": picture, "entries": scale.entries(),
+        }  # fmt: skip
+    level_file = served.loaded.level
+    return tilejson_answer(
+        request, level_file.title or served.name, level_file.attribution, f"{tiles}?{query}" if query else tiles,
+        (zooms.first, zooms.last), served.bounds, {**more, "skugga": extra},
+    )  # fmt: skip
+
+
+@router.get(
+    "/levels/{level}/legend.{format}",
+    summary="A legend",
+    dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
+    response_class=Response,
+    responses=file_docs("The picture.", LEGEND_MEDIA_TYPES.values()),
+    openapi_extra=for_example("date", layer=SUN_HOURS_LAYER),
+)
+async def legend_of_tiles(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    format: Annotated[LegendFormat, Path(description="Of the picture.", examples=["png"])],
+    wanted: Annotated[TileQuery, Depends(tile_query)],
+) -> Response:
+    """The legend of a layer of tiles as a picture. Of the layers that are pictures there is none."""
+    served = await service.level(level)
+    if wanted.sun_hours is None:
+        raise InputError("layer", wanted.layer, f"a layer with a legend: {SUN_HOURS_LAYER}")
+    return await legend_answer(request, served, wanted.sun_hours, format)

@@ -1,0 +1,142 @@
+"""Plans and what they are made from: of a level's view or its tiles, and of a descriptor that a client sends."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Body, Depends, Query, Request, Response
+
+from skugga.api.errors import NotServedError
+from skugga.api.http.answers import json_answer
+from skugga.api.http.documented import PLAN_DOCS, WORK_ERRORS, Answers, LevelPath, problem_docs
+from skugga.api.http.levels.sent_descriptor import SentDescriptor
+from skugga.api.http.moments import time_headers
+from skugga.api.http.numbers import PLAIN_WHOLE
+from skugga.api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuery, ViewQuery, allow_only, plan_query, sun_query
+from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
+from skugga.api.http.state.service import TheService
+from skugga.api.matrices import matrix_set_of
+from skugga.api.workers.jobs import DescribedPlanJob, DescriptorAnswer, DescriptorJob, PictureRequest, PlanAnswer, PlanJob, Tiles
+from skugga.terrain.errors import InputError
+from skugga.terrain.facts.descriptor import Descriptor
+from skugga.terrain.level.parts import SunSpec
+
+router = APIRouter(tags=["plans"], responses=problem_docs(*WORK_ERRORS))
+
+FACTS: dict[str, Any] = {
+    "view": "map", "view_kind": "map", "flat_world": False, "pixel_m": 10.0, "node_m": 30.0, "casters": ["relief"],
+    "relief_m": 700.0, "block_relief_m": 450.0, "sun_azimuth_deg": 235.0, "sun_altitude_deg": 22.0, "highest_sun_deg": 22.5,
+    "receivers_light_m": [10000.0, 9000.0, 600.0],
+}  # fmt: skip
+"""An example of what a client may send: all that has to be said."""
+
+NOT_CHANGED: Answers = {304: {"description": "The client has it (`If-None-Match`)."}}
+
+ZoomQuery = Annotated[
+    int | None,
+    PLAIN_WHOLE,
+    Query(description="Instead of `view`: the tiles of a zoom, of which all have the same plan.", examples=[12]),
+]
+MatrixSetQuery = Annotated[
+    str | None, Query(max_length=100, description=f"Of the tiles; default: {DEFAULT_MATRIX_SET}.", examples=[DEFAULT_MATRIX_SET])
+]
+
+VIEW_PARAMETERS = ("view", "zoom", "tms")
+
+
+@router.get(
+    "/levels/{level}/plan",
+    summary="The plan of a view",
+    response_model=None,
+    responses=PLAN_DOCS | NOT_CHANGED,
+    dependencies=[Depends(allow_only(*VIEW_PARAMETERS, *SUN_PARAMETERS, *PLAN_PARAMETERS))],
+)
+async def plan(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    sun: Annotated[SunSpec | None, Depends(sun_query)],
+    wanted: Annotated[PlanQuery, Depends(plan_query)],
+    view: ViewQuery = None,
+    zoom: ZoomQuery = None,
+    tms: MatrixSetQuery = None,
+) -> Any:
+    """What the selector chooses for a view, or for the tiles of a zoom, and why."""
+    served = await service.level(level)
+    view_or_tiles = _seen(served, view, zoom, tms)
+    job = PlanJob(
+        level=served.key, view=view_or_tiles, policy=wanted.policy, request=PictureRequest(sun=sun, overrides=wanted.overrides)
+    )
+    answer = await service.done(request, job)
+    assert isinstance(answer, PlanAnswer)
+    return json_answer(request, json.loads(answer.plan_json), **time_headers(request))
+
+
+@router.get(
+    "/levels/{level}/descriptor",
+    summary="The facts of a view",
+    response_model=Descriptor,
+    responses=NOT_CHANGED,
+    dependencies=[Depends(allow_only(*VIEW_PARAMETERS, *SUN_PARAMETERS))],
+)
+async def descriptor(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    sun: Annotated[SunSpec | None, Depends(sun_query)],
+    view: ViewQuery = None,
+    zoom: ZoomQuery = None,
+    tms: MatrixSetQuery = None,
+) -> Any:
+    """What plans of a view, or of the tiles of a zoom, are made from: `POST /plan` takes it."""
+    served = await service.level(level)
+    job = DescriptorJob(level=served.key, view=_seen(served, view, zoom, tms), request=PictureRequest(sun=sun))
+    answer = await service.done(request, job)
+    assert isinstance(answer, DescriptorAnswer)
+    return json_answer(request, json.loads(answer.descriptor_json), **time_headers(request))
+
+
+@router.post(
+    "/plan",
+    summary="The plan of a descriptor",
+    response_model=None,
+    responses=PLAN_DOCS | problem_docs(413),
+    dependencies=[Depends(allow_only(*PLAN_PARAMETERS))],
+)
+async def plan_of_descriptor(
+    request: Request,
+    service: TheService,
+    described: Annotated[
+        SentDescriptor,
+        Body(description="The facts of a scene and a view, as `/levels/{level}/descriptor` gives them.", examples=[FACTS]),
+    ],
+    wanted: Annotated[PlanQuery, Depends(plan_query)],
+) -> Any:
+    """What the selector chooses for a scene and a view that it knows by their facts alone, and why.
+
+    What levels ask of shadows and effects is not part of the facts: here all of it is automatic but for what the query asks.
+    Predictions are for the service's own device.
+    """
+    job = DescribedPlanJob(
+        descriptor_json=described.as_descriptor_json(), policy=wanted.policy, request=PictureRequest(overrides=wanted.overrides)
+    )
+    answer = await service.done(request, job)
+    assert isinstance(answer, PlanAnswer)
+    return Response(answer.plan_json, headers={"Cache-Control": "no-store"}, media_type="application/json")
+
+
+def _seen(level: ServedLevel, view: str | None, zoom: int | None, tms: str | None) -> str | Tiles:
+    """A view's name, or tiles. Raises ``InputError`` for both, or ``NotServedError`` for a zoom that is not there."""
+    if zoom is None and tms is None:
+        return level.view_named(view)
+    if view is not None or zoom is None:
+        raise InputError(
+            "view" if zoom is not None else "zoom", view or "", "only one of view and zoom in a request (tms goes with zoom)"
+        )
+    matrix_set = tms or DEFAULT_MATRIX_SET
+    matrix_set_of(matrix_set)
+    zooms = level.zooms_in(matrix_set)
+    if not zooms.first <= zoom <= zooms.last:
+        raise NotServedError("zoom", f"Zoom {zoom} is not served; zooms {zooms.first} to {zooms.last} are.")
+    return Tiles(matrix_set=matrix_set, zoom=zoom)

@@ -1,0 +1,93 @@
+"""A level as a file of layers for QGIS, to be dragged into its window."""
+
+from __future__ import annotations
+
+from urllib.parse import quote, urlencode
+from xml.etree.ElementTree import Element, indent, tostring
+
+from skugga.api.http.ogc.ogc_requests import layer_name, layer_title
+from skugga.api.http.ogc.ogc_times import time_dimension
+from skugga.api.http.ogc.ogc_xml import add
+from skugga.api.http.ogc.wmts_capabilities import TIME
+from skugga.api.http.parameters import OWN_STYLE
+from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
+from skugga.api.matrices import matrix_set_of
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.terrain.geo.grid import crs_of_tiles
+
+QGIS_LAYERS = ("color", "shadow", SUN_HOURS_LAYER)
+"""Layers of the file; QGIS shows the first one at once."""
+
+HEIGHTS_TITLE = "heights"
+
+
+def qgis_layers(level: ServedLevel, base_url: str, year: int) -> bytes:
+    """The layers of a level that lies on earth, as a QGIS layer definition: by WMTS, so that QGIS's temporal controller moves their
+    time; and its heights, by which QGIS can show it in three dimensions.
+    """
+    root = Element("qlr")
+    tree = add(root, "layer-tree-group")
+    group = add(tree, "layer-tree-group", name=level.loaded.level.title or level.name, checked="Qt::Checked", expanded="1")
+    layers = add(root, "maplayers")
+    for number, layer in enumerate(QGIS_LAYERS):
+        _add(
+            group,
+            layers,
+            f"skugga_{level.name}_{layer}",
+            layer_title(level, layer),
+            _wmts(level, layer, base_url, year),
+            _crs_of(qgis_matrix_set(level)),
+            number == 0,
+        )
+    if DEFAULT_MATRIX_SET in level.zooms:
+        _add(
+            group,
+            layers,
+            f"skugga_{level.name}_{HEIGHTS_TITLE}",
+            layer_title(level, HEIGHTS_TITLE),
+            _heights(level, base_url),
+            _crs_of(DEFAULT_MATRIX_SET),
+            False,
+        )
+    indent(root)
+    return b"<!DOCTYPE qgis-layer-definition>\n" + tostring(root, encoding="utf-8") + b"\n"
+
+
+def qgis_matrix_set(level: ServedLevel) -> str:
+    """The tile matrix set that QGIS shows a level in."""
+    return DEFAULT_MATRIX_SET if DEFAULT_MATRIX_SET in level.zooms else next(iter(level.zooms))
+
+
+def _crs_of(matrix_set: str) -> str:
+    return ":".join(crs_of_tiles(matrix_set_of(matrix_set)).to_authority() or ("EPSG", "3857"))
+
+
+def _wmts(level: ServedLevel, layer: str, base_url: str, year: int) -> str:
+    """A data source of QGIS's provider ``wms``."""
+    return urlencode(
+        {
+            "crs": _crs_of(qgis_matrix_set(level)), "dpiMode": "7", "format": "image/png", "layers": layer_name(level, layer),
+            "styles": OWN_STYLE,
+            "tileDimensions": f"{TIME}={time_dimension(level, layer, year).default}", "tileMatrixSet": qgis_matrix_set(level),
+            "url": f"{base_url}/levels/{quote(level.name)}/WMTSCapabilities.xml",
+        },
+        safe=":/",
+    )  # fmt: skip
+
+
+def _heights(level: ServedLevel, base_url: str) -> str:
+    zooms = level.zooms[DEFAULT_MATRIX_SET]
+    template = f"{base_url}/levels/{quote(level.name)}/tiles/{DEFAULT_MATRIX_SET}/{{z}}/{{x}}/{{y}}.png?layer=terrarium"
+    options = {"type": "xyz", "interpretation": "terrariumterrain", "zmin": zooms.first, "zmax": zooms.last, "url": template}
+    return urlencode(options, safe=":/{}")
+
+
+def _add(group: Element, layers: Element, layer_id: str, title: str, source: str, crs: str, shown: bool) -> None:
+    add(
+        group, "layer-tree-layer", id=layer_id, name=title, source=source, providerKey="wms",
+        checked="Qt::Checked" if shown else "Qt::Unchecked", expanded="1",
+    )  # fmt: skip
+    layer = add(layers, "maplayer", type="raster")
+    for tag, text in (("id", layer_id), ("datasource", source), ("layername", title), ("provider", "wms")):
+        add(layer, tag, text)
+    add(add(add(layer, "srs"), "spatialrefsys"), "authid", crs)  # QGIS takes it from here, and not from the source

@@ -1,0 +1,236 @@
+"""The Web Map Service, WMS 1.3.0: capabilities, maps, what is at a point, legends."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+from pyproj import CRS
+from starlette.concurrency import run_in_threadpool
+
+from skugga.api.errors import NotServedError
+from skugga.api.http.answers import base_url, cache_headers, document_answer, is_fresh, tag_of
+from skugga.api.http.documented import WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
+from skugga.api.http.moments import fresh_for, time_headers
+from skugga.api.http.ogc.ogc_requests import (
+    KeyValues,
+    exception_answer,
+    format_named,
+    shown_asked,
+    split_layer,
+    sun_at_time,
+    sun_hours_asked,
+    this_year,
+)
+from skugga.api.http.ogc.ogc_xml import wms_exception
+from skugga.api.http.ogc.wms_capabilities import (
+    INFO_MEDIA,
+    LEGEND_MEDIA,
+    MAP_MEDIA,
+    WMS_LAYERS,
+    WMS_VERSION,
+    map_formats_told,
+    wms_capabilities,
+)
+from skugga.api.http.parameters import OWN_STYLE
+from skugga.api.http.points.point_answers import of_a_day, run_point
+from skugga.api.http.points.point_documents import Rows, report_features, report_page, report_rows, report_text
+from skugga.api.http.state.served_levels import ServedLevel
+from skugga.api.http.state.service import Service, TheService
+from skugga.api.http.tiles.legends import legend_answer
+from skugga.api.http.tiles.map_extents import MapBounds, check_side, crs_code, crs_of_code, north_first, parse_bounds
+from skugga.api.http.tiles.maps import MapQuery, map_answer
+from skugga.api.layers import MAP_MEDIA_TYPES
+from skugga.api.point.values import PointQuery
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.api.workers.block_tiles import map_formats_of
+from skugga.api.workers.jobs import PictureRequest, PointJob
+from skugga.terrain.errors import InputError, SkuggaError, UnsupportedError
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
+
+router = APIRouter(tags=["map services"], default_response_class=Response)
+
+OPERATIONS = "GetCapabilities, GetMap, GetFeatureInfo, GetLegendGraphic"
+
+WMS_CODES = {
+    "": "NoApplicableCode", "*": "InvalidParameterValue", "missing": "MissingParameterValue", "REQUEST": "OperationNotSupported",
+    "LAYERS": "LayerNotDefined", "LAYER": "LayerNotDefined", "QUERY_LAYERS": "LayerNotDefined", "LEVEL": "LayerNotDefined",
+    "STYLES": "StyleNotDefined", "STYLE": "StyleNotDefined", "CRS": "InvalidCRS", "FORMAT": "InvalidFormat",
+    "INFO_FORMAT": "InvalidFormat", "I": "InvalidPoint", "J": "InvalidPoint", "TIME": "InvalidDimensionValue",
+}  # fmt: skip
+"""Exception codes of WMS 1.3.0, table E.1, by the parameter to blame; where it has none, those of OWS Common."""
+
+
+WMS_KEYS = key_values(
+    SERVICE=("`WMS`, or nothing.", "WMS"),
+    VERSION=("`1.3.0`, or nothing.", WMS_VERSION),
+    REQUEST=(f"One of {OPERATIONS}.", "GetMap"),
+    LAYERS=("Of a map: one layer, as level:layer.", "jacksboro:color"),
+    QUERY_LAYERS=("Of `GetFeatureInfo`: one layer, as level:layer.", "jacksboro:color"),
+    LAYER=("Of `GetLegendGraphic`: a layer, as level:sunhours.", "jacksboro:sunhours"),
+    STYLES=("A style of the layer; `default`, or nothing: the level's own.", "default"),
+    STYLE=("Of a legend: `default`, or nothing.", "default"),
+    CRS=("A CRS by its code.", "CRS:84"),
+    BBOX=("Four numbers, in the order of the CRS's own axes.", "8.38,47.48,8.49,47.55"),
+    WIDTH=("Pixels.", "256"),
+    HEIGHT=("Pixels.", "256"),
+    I=("Of `GetFeatureInfo`: column of the pixel in the map, from the left.", "128"),
+    J=("Of `GetFeatureInfo`: row of the pixel in the map, from the top.", "128"),
+    INFO_FORMAT=(f"Of `GetFeatureInfo`: {', '.join(INFO_MEDIA)}.", INFO_MEDIA[0]),
+    FORMAT=("A media type.", "image/png"),
+    TRANSPARENT=("`TRUE`, or `FALSE`: then `BGCOLOR` is behind what has no data.", "TRUE"),
+    BGCOLOR=("A colour.", "0xFFFFFF"),
+    TIME=("An instant, or of hours of sun a date; without an offset in UTC.", "2024-10-21T16:30:00Z"),
+    AZIMUTH=("With `ALTITUDE`, instead of `TIME`: degrees clockwise from true north.", "235"),
+    ALTITUDE=("Apparent degrees above the horizon.", "22"),
+)
+WMS_EXAMPLE = for_example("REQUEST", "LAYERS", "CRS", "BBOX", "WIDTH", "HEIGHT", "FORMAT")
+WMS_DOCS = file_docs(
+    "The document, the map, what is there, or the legend.",
+    dict.fromkeys([*MAP_MEDIA, "text/xml", *INFO_MEDIA, *LEGEND_MEDIA]),
+) | exception_docs(*WORK_ERRORS)
+
+
+@router.get("/wms", summary="WMS", responses=WMS_DOCS, openapi_extra=WMS_KEYS | WMS_EXAMPLE)
+async def wms(request: Request, service: TheService) -> Response:
+    """`REQUEST=GetCapabilities`, `GetMap`, `GetFeatureInfo` or `GetLegendGraphic`, of layers as level:layer; with `TIME`, or
+    `AZIMUTH` and `ALTITUDE`. Extents are in the order of the CRS's own axes: latitude first in EPSG:4326.
+    """
+    return await _answer(request, service, None)
+
+
+@router.get("/levels/{level}/wms", summary="WMS of a level", responses=WMS_DOCS, openapi_extra=WMS_KEYS | WMS_EXAMPLE)
+async def wms_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
+    """The same; its capabilities are of one level."""
+    return await _answer(request, service, level)
+
+
+async def _answer(request: Request, service: Service, level: str | None) -> Response:
+    try:
+        asked = KeyValues(request)
+        wanted = asked.need("REQUEST", OPERATIONS)
+        if (asked.get("SERVICE") or "WMS").upper() != "WMS":
+            raise InputError("SERVICE", asked.get("SERVICE"), "WMS")
+        if wanted.lower() == "getcapabilities":  # of whatever version: the client has to take this one (6.2.4)
+            return await _capabilities(request, service, level)
+        if wanted.lower() != "getlegendgraphic" and (asked.get("VERSION") or WMS_VERSION) != WMS_VERSION:
+            raise InputError("VERSION", asked.get("VERSION"), WMS_VERSION)
+        match wanted.lower():
+            case "getmap":
+                return await _map(request, service, asked)
+            case "getfeatureinfo":
+                return await _feature_info(request, service, asked)
+            case "getlegendgraphic":
+                return await _legend(request, service, asked)
+        raise InputError("REQUEST", wanted, OPERATIONS)
+    except SkuggaError as error:
+        return exception_answer(request, error, WMS_CODES, wms_exception)
+
+
+async def _capabilities(request: Request, service: Service, level: str | None) -> Response:
+    levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
+    if level is not None and (off_earth := levels[0].world.off_earth) is not None:
+        raise UnsupportedError("level", level, f"{off_earth}: there is no map of it on earth")
+    on_earth = [each for each in levels if each.world.off_earth is None]
+    base = base_url(request, service.settings.public_url)
+    address = f"{base}/wms" if level is None else f"{base}{request.url.path}"
+    body = await run_in_threadpool(
+        wms_capabilities, on_earth, base, address, service.settings.max_snapshot_pixels, this_year()
+    )  # fmt: skip
+    return document_answer(request, body, "text/xml")
+
+
+async def _layer(service: Service, asked: KeyValues, key: str) -> tuple[ServedLevel, str]:
+    """The level and the layer of a request for one. Raises ``NotServedError`` or ``InputError``."""
+    name = asked.need(key, "one layer, as level:color")
+    if "," in name:
+        raise NotServedError(key, f"{key}: one layer to a map (the capabilities say so: LayerLimit is 1).")
+    level_name, layer = split_layer(key, name)
+    if layer not in WMS_LAYERS:
+        raise NotServedError(key, f"{key}: {layer} is not served by WMS, but as tiles.")
+    level = await service.level(level_name)
+    if level.world.off_earth is not None:
+        raise UnsupportedError(key, name, f"{level.world.off_earth}: there is no map of it on earth")
+    return level, layer
+
+
+def _extent(asked: KeyValues) -> tuple[str, CRS, MapBounds, tuple[int, int]]:
+    """The code of a request's CRS, the CRS, the extent in it, and (width, height) in pixels. Raises ``InputError``."""
+    code = crs_code(asked.need("CRS", "a CRS, as EPSG:3857"))
+    crs = crs_of_code(code)
+    bounds = parse_bounds(asked.need("BBOX", "four numbers"), "BBOX", north_first(crs))
+    width, height = (check_side(name, asked.whole(name)) for name in ("WIDTH", "HEIGHT"))
+    return code, crs, bounds, (width, height)
+
+
+async def _map(request: Request, service: Service, asked: KeyValues) -> Response:
+    level, layer = await _layer(service, asked, "LAYERS")
+    code, _, bounds, size = await run_in_threadpool(_extent, asked)
+    format = format_named(asked.need("FORMAT", "a media type, as image/png"))
+    if format not in map_formats_of(layer):
+        raise InputError("FORMAT", MAP_MEDIA_TYPES[format], f"{map_formats_told(layer)} for layer {layer}")
+    shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLES")
+    clear = (asked.get("TRANSPARENT") or "FALSE").upper() == "TRUE"
+    background = None if clear else _background(asked.get("BGCOLOR") or "0xFFFFFF")
+    return await map_answer(request, service, level, MapQuery(bounds, code, size, shown, format, background))
+
+
+def _background(text: str) -> str:
+    digits = text[2:].upper() if text[:2].lower() == "0x" else ""
+    if len(digits) != 6 or set(digits) - set("0123456789ABCDEF"):
+        raise InputError("BGCOLOR", text, "0xRRGGBB")
+    return digits
+
+
+async def _feature_info(request: Request, service: Service, asked: KeyValues) -> Response:
+    level, layer = await _layer(service, asked, "QUERY_LAYERS")
+    _, crs, (west, south, east, north), (width, height) = await run_in_threadpool(_extent, asked)
+    col, row = (asked.whole(name) for name in ("I", "J"))
+    for name, pixel, count in (("I", col, width), ("J", row, height)):
+        if pixel >= count:
+            raise InputError(name, pixel, f"a pixel of the map, 0 to {count - 1}")
+    media_type = asked.get("INFO_FORMAT") or INFO_MEDIA[0]
+    if media_type not in INFO_MEDIA:
+        raise InputError("INFO_FORMAT", media_type, ", ".join(INFO_MEDIA))
+    x, y = west + (col + 0.5) * (east - west) / width, north - (row + 0.5) * (north - south) / height
+    lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
+    sun_hours = layer == SUN_HOURS_LAYER
+    day = sun_hours_asked(level, asked.get("TIME")).date if sun_hours else None
+    sun = None if sun_hours else sun_at_time(request, level, asked)
+    if not (abs(lon) <= 540.0 and abs(lat) <= 90.0):
+        remark, headers = "there is no place on earth there", {"Cache-Control": "no-store"}
+        if media_type == "application/json":
+            return _features(None, {"remark": remark}, headers)
+        return _in_words([("Remark", remark)], media_type, headers)
+    point, fresh_s = of_a_day(PointQuery(lon=lon, lat=lat, date=day), sun)
+    job = PointJob(level=level.key, query=point, request=PictureRequest(sun=sun))
+    tag = tag_of(level.version, level.name, "info", job.model_dump(exclude={"level"}, exclude_none=True), media_type)
+    headers = cache_headers(tag, fresh_for(request, fresh_s)) | time_headers(request)
+    if is_fresh(request, headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    report = json.loads(await run_point(request, service, job))
+    if media_type == "application/json":
+        return _features((report["lon"], report["lat"]), report, headers)
+    return _in_words(report_rows(report), media_type, headers)
+
+
+def _features(place: tuple[float, float] | None, report: dict[str, Any], headers: dict[str, str]) -> Response:
+    return Response(report_features(place, report), headers=headers, media_type="application/json")
+
+
+def _in_words(rows: Rows, media_type: str, headers: dict[str, str]) -> Response:
+    return Response(report_page(rows) if media_type == "text/html" else report_text(rows), headers=headers, media_type=media_type)
+
+
+async def _legend(request: Request, service: Service, asked: KeyValues) -> Response:
+    level, layer = await _layer(service, asked, "LAYER")
+    if layer != SUN_HOURS_LAYER:
+        raise InputError("LAYER", asked.get("LAYER"), f"a layer with a legend: {SUN_HOURS_LAYER}")
+    if asked.get("STYLE") not in (None, OWN_STYLE):
+        raise InputError("STYLE", asked.get("STYLE"), f"nothing, or {OWN_STYLE}")
+    media_type = asked.get("FORMAT") or LEGEND_MEDIA[0]
+    if media_type not in LEGEND_MEDIA:
+        raise InputError("FORMAT", media_type, ", ".join(LEGEND_MEDIA))
+    format = "svg" if media_type == LEGEND_MEDIA[1] else "png"
+    return await legend_answer(request, level, sun_hours_asked(level, asked.get("TIME")), format)  # type: ignore[arg-type]

@@ -1,0 +1,136 @@
+"""The Web Map Tile Service, WMTS 1.0.0: its capabilities, and tiles by keys and values. By address they are those of the tiles."""
+
+from __future__ import annotations
+
+from urllib.parse import quote
+
+from fastapi import APIRouter, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from skugga.api.http.answers import base_url, document_answer
+from skugga.api.http.documented import LEVEL_ERRORS, WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
+from skugga.api.http.ogc.ogc_requests import KeyValues, exception_answer, format_named, shown_asked, split_layer, this_year
+from skugga.api.http.ogc.ogc_xml import ows_exception
+from skugga.api.http.ogc.wmts_capabilities import WMTS_VERSION, wmts_capabilities
+from skugga.api.http.parameters import OWN_STYLE
+from skugga.api.http.state.service import Service, TheService
+from skugga.api.http.tiles.tile_answers import tile_answer
+from skugga.api.http.tiles.tile_docs import EMPTY_DOCS
+from skugga.api.layers import MAP_MEDIA_TYPES
+from skugga.api.matrices import matrix_set_of
+from skugga.terrain.errors import InputError, SkuggaError, UnsupportedError
+
+router = APIRouter(tags=["map services"], default_response_class=Response)
+
+CODES = {
+    "": "NoApplicableCode", "*": "InvalidParameterValue", "missing": "MissingParameterValue", "REQUEST": "OperationNotSupported",
+    "VERSION": "VersionNegotiationFailed", "ACCEPTVERSIONS": "VersionNegotiationFailed",
+    "X": "TileOutOfRange", "Y": "TileOutOfRange",
+}  # fmt: skip
+"""Exception codes of OWS Common 1.1.0, table 27, and WMTS 1.0.0, table 24, by the parameter to blame."""
+
+
+DEFAULT_TIME = key_values(TIME=("The default of all layers; default: of each its level's.", "2024-10-21T16:30:00Z"))
+
+
+@router.get(
+    "/wmts/1.0.0/WMTSCapabilities.xml",
+    summary="WMTS: what is served",
+    responses=file_docs("The document.", ["text/xml"]) | exception_docs(422, 500),
+    openapi_extra=DEFAULT_TIME,
+)
+async def wmts_of_all(request: Request, service: TheService) -> Response:
+    """The capabilities of all levels that lie on earth: a layer for each level and layer, every tile matrix set, and the times."""
+    return await _capabilities(request, service, None)
+
+
+@router.get(
+    "/levels/{level}/WMTSCapabilities.xml",
+    summary="WMTS: what is served of a level",
+    responses=file_docs("The document.", ["text/xml"]) | exception_docs(*LEVEL_ERRORS),
+    openapi_extra=DEFAULT_TIME,
+)
+async def wmts_of_level(request: Request, service: TheService, level: LevelPath) -> Response:
+    """The capabilities of one level. With `time` that is the default of all layers, for clients that cannot ask for another one."""
+    return await _capabilities(request, service, level)
+
+
+WMTS_KEYS = key_values(
+    SERVICE=("`WMTS`, or nothing.", "WMTS"),
+    VERSION=("`1.0.0`, or nothing.", WMTS_VERSION),
+    REQUEST=("`GetCapabilities` or `GetTile`; the other keys are of tiles.", "GetTile"),
+    LAYER=("As level:layer.", "jacksboro:color"),
+    STYLE=("A style of the layer; `default`, or nothing: the level's own.", OWN_STYLE),
+    TILEMATRIXSET=("A tile matrix set by its name.", "WebMercatorQuad"),
+    TILEMATRIX=("A matrix of the set: mostly the zoom.", "11"),
+    TILEROW=("Row of the tile, from the north.", "800"),
+    TILECOL=("Column of the tile, from the west.", "544"),
+    FORMAT=("A media type.", "image/png"),
+    TIME=("An instant; without an offset in UTC.", "2024-10-21T16:30:00Z"),
+    AZIMUTH=("With `ALTITUDE`, instead of `TIME`: degrees clockwise from true north.", "235"),
+    ALTITUDE=("Apparent degrees above the horizon.", "22"),
+)
+
+
+@router.get(
+    "/wmts",
+    summary="WMTS by keys and values",
+    responses=file_docs("The tile, or the document.", [*MAP_MEDIA_TYPES.values(), "text/xml"])
+    | EMPTY_DOCS
+    | exception_docs(*WORK_ERRORS),
+    openapi_extra=WMTS_KEYS | for_example("REQUEST", "LAYER", "TILEMATRIXSET", "TILEMATRIX", "TILEROW", "TILECOL", "FORMAT"),
+)
+async def wmts_by_keys(request: Request, service: TheService) -> Response:
+    """`REQUEST=GetCapabilities`, or `GetTile` with `LAYER` (as level:layer), `STYLE`, `TILEMATRIXSET`, `TILEMATRIX`, `TILEROW`,
+    `TILECOL`, `FORMAT` and `TIME`; instead of the time `AZIMUTH` and `ALTITUDE`.
+    """
+    try:
+        asked = KeyValues(request)
+        wanted = asked.need("REQUEST", "GetCapabilities, GetTile")
+        if (asked.get("SERVICE") or "WMTS").upper() != "WMTS":
+            raise InputError("SERVICE", asked.get("SERVICE"), "WMTS")
+        for name in ("VERSION", "ACCEPTVERSIONS"):
+            if WMTS_VERSION not in (asked.get(name) or WMTS_VERSION).split(","):
+                raise InputError(name, asked.get(name), WMTS_VERSION)
+        match wanted.lower():
+            case "getcapabilities":
+                return await _capabilities(request, service, None)
+            case "gettile":
+                return await _tile_by_keys(request, service, asked)
+        raise InputError("REQUEST", wanted, "GetCapabilities, GetTile")
+    except SkuggaError as error:
+        return exception_answer(request, error, CODES, ows_exception)
+
+
+async def _tile_by_keys(request: Request, service: Service, asked: KeyValues) -> Response:
+    level_name, layer = split_layer("LAYER", asked.need("LAYER", "a layer, as level:color"))
+    matrix_set = asked.need("TILEMATRIXSET", "a tile matrix set, as WebMercatorQuad")
+    tiled = matrix_set_of(matrix_set)
+    matrices = {matrix.id: zoom for zoom, matrix in enumerate(tiled.tileMatrices, tiled.minzoom)}
+    matrix = asked.need("TILEMATRIX", "a matrix of the set")
+    if matrix not in matrices:
+        raise InputError("TILEMATRIX", matrix, ", ".join(matrices))
+    place = matrices[matrix], asked.whole("TILECOL"), asked.whole("TILEROW")
+    format = format_named(asked.need("FORMAT", "a media type, as image/png"))
+    level = await service.level(level_name)
+    if level.world.off_earth is not None:
+        raise UnsupportedError("LAYER", f"{level_name}:{layer}", f"{level.world.off_earth}, so there are no tiles")
+    shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLE")
+    return await tile_answer(request, service, level_name, matrix_set, place, 1, format, shown)
+
+
+async def _capabilities(request: Request, service: Service, level: str | None) -> Response:
+    """The capabilities of a level, or of all; an error in the service's own XML."""
+    try:
+        levels = await run_in_threadpool(service.levels.all) if level is None else [await service.level(level)]
+        on_earth = [each for each in levels if each.zooms]
+        if level is not None and not on_earth:
+            why = levels[0].world.off_earth or "it lies outside of all maps"
+            raise UnsupportedError("level", level, f"{why}, so there are no tiles")
+        base = base_url(request, service.settings.public_url)
+        of_all = f"{base}/wmts/{WMTS_VERSION}/WMTSCapabilities.xml"
+        address = of_all if level is None else f"{base}/levels/{quote(level)}/WMTSCapabilities.xml"
+        body = await run_in_threadpool(wmts_capabilities, on_earth, base, address, this_year(), KeyValues(request).get("TIME"))
+        return document_answer(request, body, "text/xml")
+    except SkuggaError as error:
+        return exception_answer(request, error, CODES, ows_exception)

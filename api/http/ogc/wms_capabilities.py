@@ -1,0 +1,137 @@
+"""The capabilities of the Web Map Service: what WMS 1.3.0 (OGC 06-042, 7.2.4) has clients be told, from what is served."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from xml.etree.ElementTree import Element
+
+from pyproj import CRS
+
+from skugga.api.color_scale import LEGEND_MEDIA_TYPES, LEGEND_SIZE_PX
+from skugga.api.http.moments import OWN_TIME
+from skugga.api.http.ogc.ogc_requests import gis_formats, layer_name, layer_title, styles_of
+from skugga.api.http.ogc.ogc_times import time_dimension
+from skugga.api.http.ogc.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
+from skugga.api.http.ogc.wmts_capabilities import hangs_on_time, layer_abstract, legend_url
+from skugga.api.http.parameters import TILE_LAYERS
+from skugga.api.http.state.served_levels import ServedLevel
+from skugga.api.http.tiles.map_extents import bounds_in, crs_of_code, north_first
+from skugga.api.layers import MAP_MEDIA_TYPES
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.api.workers.block_tiles import map_formats_of
+from skugga.terrain.errors import InputError
+
+WMS_VERSION = "1.3.0"
+
+WMS_LAYERS = tuple(name for name in TILE_LAYERS if hangs_on_time(name) and "png" in map_formats_of(name))
+"""Layers of maps that are looked at. Heights in colours are for tiles; data of floating point map clients cannot show."""
+
+MAP_MEDIA = ("image/png", "image/webp", "image/jpeg", "image/tiff")
+INFO_MEDIA = ("application/json", "text/html", "text/plain")
+LEGEND_MEDIA = tuple(LEGEND_MEDIA_TYPES.values())
+
+COMMON_CRS = ("EPSG:3857", "EPSG:4326", "CRS:84")
+"""What every level has maps in; any other that PROJ knows by its code is understood as well."""
+
+SCHEMA_WMS = "http://www.opengis.net/wms http://schemas.opengis.net/wms/1.3.0/capabilities_1_3_0.xsd"
+
+
+def wms_capabilities(levels: Sequence[ServedLevel], base_url: str, address: str, max_pixels: int, year: int) -> bytes:
+    """The document of levels that lie on earth, under a base URL; ``address`` is that of the service itself, ``year`` that of the
+    times of levels that have none.
+    """
+    root = Element(
+        "WMS_Capabilities",
+        {
+            "xmlns": "http://www.opengis.net/wms", "xmlns:xlink": XLINK, "xmlns:xsi": XSI, "xsi:schemaLocation": SCHEMA_WMS,
+            "version": WMS_VERSION,
+        },
+    )  # fmt: skip
+    service = add(root, "Service")
+    for tag, text in (("Name", "WMS"), ("Title", "Skugga"), ("Abstract", "Terrain with the sun's true cast shadows.")):
+        add(service, tag, text)
+    _online(service, base_url)
+    side = math.isqrt(max_pixels)  # more to a side are drawn, if the other one is shorter
+    for tag, value in (("Fees", "none"), ("AccessConstraints", "none"), ("LayerLimit", 1), ("MaxWidth", side), ("MaxHeight", side)):
+        add(service, tag, value)
+    capability = add(root, "Capability")
+    # GetLegendGraphic is not told of: QGIS would ask it for every layer. A layer that has a legend says where.
+    request = add(capability, "Request")
+    for name, media in (
+        ("GetCapabilities", ("text/xml",)), ("GetMap", MAP_MEDIA), ("GetFeatureInfo", INFO_MEDIA),
+    ):  # fmt: skip
+        operation = add(request, name)
+        for media_type in media:
+            add(operation, "Format", media_type)
+        _online(add(add(add(operation, "DCPType"), "HTTP"), "Get"), f"{address}?")
+    add(add(capability, "Exception"), "Format", "XML")
+    top = add(capability, "Layer")
+    add(top, "Title", "Skugga")
+    for code in COMMON_CRS:
+        add(top, "CRS", code)
+    for level in levels:
+        _level(top, level, base_url, address, year)
+    return document(root)
+
+
+def crs_of_maps(level: ServedLevel) -> dict[str, CRS]:
+    """The CRSs that a level's maps are told of, by their codes in WMS."""
+    own = level.map_crs.to_authority()
+    codes = [*COMMON_CRS, *([] if own is None else [":".join(own)])]
+    return {code: crs_of_code({"CRS:84": "OGC:CRS84"}.get(code, code)) for code in dict.fromkeys(codes)}
+
+
+def _level(top: Element, level: ServedLevel, base_url: str, address: str, year: int) -> None:
+    assert level.bounds is not None
+    group = add(top, "Layer")
+    add(group, "Title", level.loaded.level.title or level.name)
+    all_crs = crs_of_maps(level)
+    for layer in WMS_LAYERS:
+        element = add(group, "Layer", queryable="1")
+        for tag, text in (
+            ("Name", layer_name(level, layer)), ("Title", layer_title(level, layer)), ("Abstract", layer_abstract(layer))
+        ):  # fmt: skip
+            add(element, tag, text)
+        for code in all_crs:
+            add(element, "CRS", code)
+        west, south, east, north = lon_lat_box(level.bounds)
+        box = add(element, "EX_GeographicBoundingBox")
+        for tag, edge in (
+            ("westBoundLongitude", west), ("eastBoundLongitude", east), ("southBoundLatitude", south), ("northBoundLatitude", north)
+        ):  # fmt: skip
+            add(box, tag, written((edge,)))
+        for code, crs in all_crs.items():
+            _bounding_box(element, level, code, crs)
+        times = time_dimension(level, layer, year)
+        default = {} if times.default == OWN_TIME else {"default": times.default}
+        add(element, "Dimension", times.span, name="time", units="ISO8601", **default)
+        if level.loaded.level.attribution:
+            add(add(element, "Attribution"), "Title", level.loaded.level.attribution)
+        for name, about in styles_of(layer).items():
+            style = add(element, "Style")
+            add(style, "Name", name)
+            add(style, "Title", f"{about[:1].upper()}{about[1:]}")
+        if layer == SUN_HOURS_LAYER:
+            legend = add(style, "LegendURL", width=str(LEGEND_SIZE_PX[0]), height=str(LEGEND_SIZE_PX[1]))
+            add(legend, "Format", "image/png")
+            _online(legend, legend_url(level, layer, address, year))
+
+
+def _bounding_box(element: Element, level: ServedLevel, code: str, crs: CRS) -> None:
+    try:
+        west, south, east, north = bounds_in(level, crs)
+    except InputError:
+        return
+    edges = (south, west, north, east) if north_first(crs) else (west, south, east, north)
+    values = dict(zip(("minx", "miny", "maxx", "maxy"), (written((edge,)) for edge in edges), strict=True))
+    add(element, "BoundingBox", CRS=code, **values)
+
+
+def _online(parent: Element, address: str) -> None:
+    add(parent, "OnlineResource", xlink_type="simple", xlink_href=address)
+
+
+def map_formats_told(layer: str) -> str:
+    """The media types of a layer's maps, in words."""
+    return ", ".join(MAP_MEDIA_TYPES[format] for format in gis_formats(layer))

@@ -1,0 +1,174 @@
+"""The capabilities of the Web Map Tile Service: what WMTS 1.0.0 (OGC 07-057r7, 7.1.1.2) has clients be told of what is served."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from urllib.parse import quote, urlencode
+from xml.etree.ElementTree import Element
+
+from morecantile import TileMatrixSet
+from pyproj import CRS
+
+from skugga.api.http.ogc.ogc_requests import gis_formats, layer_name, layer_title, styles_of
+from skugga.api.http.ogc.ogc_times import time_dimension
+from skugga.api.http.ogc.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
+from skugga.api.http.parameters import OWN_STYLE, TILE_LAYERS
+from skugga.api.http.state.served_levels import ServedLevel
+from skugga.api.layers import LAYERS, MAP_MEDIA_TYPES
+from skugga.api.matrices import matrix_set_of, tile_limits
+from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.terrain.geo.grid import crs_of_tiles
+
+WMTS_VERSION = "1.0.0"
+
+
+TIME = "Time"
+"""The dimension: the variable in the templates of addresses has its name."""
+
+SCHEMA_WMTS = "http://www.opengis.net/wmts/1.0 http://schemas.opengis.net/wmts/1.0/wmtsGetCapabilities_response.xsd"
+
+
+def wmts_capabilities(levels: Sequence[ServedLevel], base_url: str, document_url: str, year: int, time: str | None = None) -> bytes:
+    """The document of levels that lie on earth, under a base URL; a ``year`` is that of the times of levels that have none. With a
+    ``time``, that is the default of all layers. Raises ``InputError``.
+    """
+    root = Element(
+        "Capabilities",
+        {
+            "xmlns": "http://www.opengis.net/wmts/1.0", "xmlns:ows": "http://www.opengis.net/ows/1.1", "xmlns:xlink": XLINK,
+            "xmlns:xsi": XSI, "xsi:schemaLocation": SCHEMA_WMTS, "version": WMTS_VERSION,
+        },
+    )  # fmt: skip
+    service = add(root, "ows:ServiceIdentification")
+    for tag, text in (
+        ("Title", "Skugga"), ("Abstract", "Terrain with the sun's true cast shadows."), ("ServiceType", "OGC WMTS"),
+        ("ServiceTypeVersion", WMTS_VERSION), ("Fees", "none"), ("AccessConstraints", "none"),
+    ):  # fmt: skip
+        add(service, f"ows:{tag}", text)
+    _operations(root, base_url, document_url)
+    contents = add(root, "Contents")
+    for level in levels:
+        for layer in TILE_LAYERS:
+            _layer(contents, level, layer, base_url, year, time)
+    for name in dict.fromkeys(name for level in levels for name in level.zooms):
+        _matrix_set(contents, matrix_set_of(name), max(level.zooms[name].last for level in levels if name in level.zooms))
+    add(root, "ServiceMetadataURL", xlink_href=document_url)
+    return document(root)
+
+
+def _operations(root: Element, base_url: str, document_url: str) -> None:
+    operations = add(root, "ows:OperationsMetadata")
+    for name, rest in (("GetCapabilities", document_url), ("GetTile", f"{base_url}/levels/")):
+        http = add(add(add(operations, "ows:Operation", name=name), "ows:DCP"), "ows:HTTP")
+        for address, encoding in ((f"{base_url}/wmts?", "KVP"), (rest, "RESTful")):
+            constraint = add(add(http, "ows:Get", xlink_href=address), "ows:Constraint", name="GetEncoding")
+            add(add(constraint, "ows:AllowedValues"), "ows:Value", encoding)
+
+
+def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, year: int, time: str | None) -> None:
+    assert level.bounds is not None
+    west, south, east, north = lon_lat_box(level.bounds)
+    element = add(contents, "Layer")
+    add(element, "ows:Title", layer_title(level, layer))
+    add(element, "ows:Abstract", layer_abstract(layer))
+    box = add(element, "ows:WGS84BoundingBox")
+    add(box, "ows:LowerCorner", written((west, south)))
+    add(box, "ows:UpperCorner", written((east, north)))
+    add(element, "ows:Identifier", layer_name(level, layer))
+    address = f"{base_url}/levels/{quote(level.name)}"
+    for name, about in styles_of(layer).items():
+        style = add(element, "Style", **({"isDefault": "true"} if name == OWN_STYLE else {}))
+        add(style, "ows:Title", f"{about[:1].upper()}{about[1:]}")
+        add(style, "ows:Identifier", name)
+    if layer == SUN_HOURS_LAYER:
+        add(style, "LegendURL", format="image/png", xlink_href=legend_url(level, layer, f"{base_url}/wms", year))
+    for format in gis_formats(layer):
+        add(element, "Format", MAP_MEDIA_TYPES[format])
+    timed = hangs_on_time(layer)
+    if timed:
+        times = time_dimension(level, layer, year, time)
+        dimension = add(element, "Dimension")
+        add(dimension, "ows:Identifier", TIME)
+        add(dimension, "ows:UOM", "ISO8601")
+        add(dimension, "Default", times.default)
+        for value in (times.default, times.span):
+            add(dimension, "Value", value)
+    _links(element, level)
+    query = "&".join(_query_of(layer))
+    for format in gis_formats(layer):
+        template = f"{address}/tiles/{{TileMatrixSet}}/{{TileMatrix}}/{{TileCol}}/{{TileRow}}.{format}"
+        add(
+            element, "ResourceURL", format=MAP_MEDIA_TYPES[format], resourceType="tile",
+            template=f"{template}?{query}" if query else template,
+        )  # fmt: skip
+
+
+def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
+    """Where the legend of a layer is, at its default time: by WMS, since QGIS adds WMS's own keys to any address of a legend."""
+    asked = {
+        "SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetLegendGraphic", "FORMAT": "image/png",
+        "LAYER": layer_name(level, layer), "TIME": time_dimension(level, layer, year).default,
+    }  # fmt: skip
+    return f"{wms_url}?{urlencode(asked, safe='/:')}"
+
+
+def layer_abstract(layer: str) -> str:
+    """What a layer is, in a sentence."""
+    about = "hours of direct sun of a date" if layer == SUN_HOURS_LAYER else LAYERS[layer].about
+    return f"{about[:1].upper()}{about[1:]}."
+
+
+def hangs_on_time(layer: str) -> bool:
+    """Whether a layer is another one at another time."""
+    return layer == SUN_HOURS_LAYER or LAYERS[layer].encoding is None
+
+
+def _query_of(layer: str) -> Iterable[str]:
+    if layer != "color":
+        yield f"layer={layer}"
+    if len(styles_of(layer)) > 1:
+        yield "style={Style}"
+    if hangs_on_time(layer):
+        yield f"{'date' if layer == SUN_HOURS_LAYER else 'time'}={{{TIME}}}"
+
+
+def _links(element: Element, level: ServedLevel) -> None:
+    assert level.data_bounds is not None
+    for name, zooms in level.zooms.items():
+        link = add(element, "TileMatrixSetLink")
+        add(link, "TileMatrixSet", name)
+        limits = add(link, "TileMatrixSetLimits")
+        for zoom in range(zooms.first, zooms.last + 1):
+            matrix_set = matrix_set_of(name)
+            inside = tile_limits(matrix_set, zoom, level.data_bounds)
+            one = add(limits, "TileMatrixLimits")
+            add(one, "TileMatrix", matrix_set.matrix(zoom).id)
+            for tag, value in zip(("MinTileRow", "MaxTileRow", "MinTileCol", "MaxTileCol"), inside, strict=True):
+                add(one, tag, value)
+
+
+def _matrix_set(contents: Element, matrix_set: TileMatrixSet, last_zoom: int) -> None:
+    """A set down to the last zoom that is served: GDAL and QGIS take the finest one for the data's own, whatever the limits say."""
+    element = add(contents, "TileMatrixSet")
+    add(element, "ows:Identifier", matrix_set.id)
+    add(element, "ows:SupportedCRS", crs_urn(crs_of_tiles(matrix_set)))
+    if matrix_set.wellKnownScaleSet is not None:
+        well_known = str(matrix_set.wellKnownScaleSet).rpartition("/")[2]
+        add(element, "WellKnownScaleSet", f"urn:ogc:def:wkss:OGC:1.0:{well_known}")
+    for zoom in range(matrix_set.minzoom, last_zoom + 1):
+        matrix = matrix_set.matrix(zoom)
+        one = add(element, "TileMatrix")
+        add(one, "ows:Identifier", matrix.id)
+        add(one, "ScaleDenominator", written((matrix.scaleDenominator,)))
+        add(one, "TopLeftCorner", written(matrix.pointOfOrigin))  # in the order of the CRS's own axes, as in its definition
+        for tag, value in (
+            ("TileWidth", matrix.tileWidth), ("TileHeight", matrix.tileHeight), ("MatrixWidth", matrix.matrixWidth),
+            ("MatrixHeight", matrix.matrixHeight),
+        ):  # fmt: skip
+            add(one, tag, value)
+
+
+def crs_urn(crs: CRS) -> str:
+    """A CRS as an URN (OGC 07-092r1)."""
+    authority, code = crs.to_authority() or ("EPSG", "0")
+    return f"urn:ogc:def:crs:{authority}:{'1.3' if authority == 'OGC' else ''}:{code}"

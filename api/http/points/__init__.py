@@ -1,0 +1,1 @@
+"""The sun at points and along tracks."""

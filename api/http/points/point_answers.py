@@ -1,0 +1,27 @@
+"""Answers on the sun at points: the day that is asked for, and what a render process says."""
+
+from __future__ import annotations
+
+from fastapi import Request
+
+from skugga.api.http.answers import GIVEN_SUN_S
+from skugga.api.http.moments import quarter_hour
+from skugga.api.http.state.service import Service
+from skugga.api.point.values import PointQuery
+from skugga.api.workers.jobs import PointAnswer, PointJob, PointsJob
+from skugga.terrain.level.parts import SunSpec
+
+
+def of_a_day(point: PointQuery, sun: SunSpec | None) -> tuple[PointQuery, int]:
+    """A question of one day, which is today's where nothing says which, and for how many seconds its answer is fresh."""
+    if sun is not None or point.date is not None:
+        return point, GIVEN_SUN_S
+    begin, left_s = quarter_hour()
+    return point.model_copy(update={"now": begin}), left_s
+
+
+async def run_point(request: Request, service: Service, job: PointJob | PointsJob) -> bytes:
+    """What a render process says of points. Raises ``SkuggaError``."""
+    answer = await service.done(request, job)
+    assert isinstance(answer, PointAnswer)
+    return answer.body

@@ -1,0 +1,245 @@
+"""The sun at points: reports, horizon files, charts; one point by its address, many by a body."""
+
+from __future__ import annotations
+
+import json
+from datetime import date, datetime
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Body, Depends, Path, Query, Request, Response
+from fastapi.responses import JSONResponse
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+
+from skugga.api.http.answers import cache_headers, is_fresh, tag_of
+from skugga.api.http.documented import WORK_ERRORS, LevelPath, file_docs, problem_docs
+from skugga.api.http.moments import PLAIN_DATE, PLAIN_TIME, asked_sun, fresh_for, time_headers
+from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE
+from skugga.api.http.parameters import TimeQuery, allow_only
+from skugga.api.http.points.point_answers import of_a_day, run_point
+from skugga.api.http.state.service import Service, TheService
+from skugga.api.point.horizon_formats import HORIZON_FORMATS
+from skugga.api.point.values import MAX_POINTS, PointQuery, PointReport, ReportedMoment, TrackPoint
+from skugga.api.workers.jobs import PictureRequest, PointJob, PointProduct, PointsJob
+from skugga.shadows.point.terms import HIGHEST_EYE_M
+from skugga.terrain.errors import InputError
+from skugga.terrain.geo.sun_path import as_utc, check_times
+from skugga.terrain.level.parts import SunSpec
+
+router = APIRouter(tags=["points"], responses=problem_docs(*WORK_ERRORS))
+
+POINTS_A_JOB = 200
+"""Points that a render process takes at a time: between them others have their turn."""
+
+SKY_MEDIA = {"svg": "image/svg+xml", "png": "image/png", "json": "application/json"}
+
+POINT_PARAMETERS = ("lon", "lat", "time", "date", "height", "clock", "year")
+
+DayOrNone = Annotated[date | None, PLAIN_DATE]
+LonQuery = Annotated[
+    float,
+    PLAIN_DECIMAL,
+    Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres east.", examples=[8.43]),
+]
+LatQuery = Annotated[
+    float,
+    PLAIN_DECIMAL,
+    Query(ge=-1e9, le=1e9, allow_inf_nan=False, description="Degrees; in a flat world metres north.", examples=[47.5]),
+]
+DateQuery = Annotated[
+    date | None,
+    PLAIN_DATE,
+    Query(description="The day, as 2024-10-21; default: that of the time, else today.", examples=["2024-10-21"]),
+]
+HeightQuery = Annotated[
+    float,
+    PLAIN_DECIMAL,
+    Query(ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False, description="Metres above the ground.", examples=[1.7]),
+]
+ClockQuery = Annotated[
+    str | None,
+    Query(
+        max_length=60,
+        description="solar, utc, +02:00 or Europe/Oslo; default: the offset of the time, else solar.",
+        examples=["Europe/Oslo"],
+    ),
+]
+YearQuery = Annotated[
+    int | None, PLAIN_WHOLE, Query(ge=1800, le=2200, description="With the hours of sun of each day of this year.", examples=[2024])
+]
+
+
+class PointOfMany(BaseModel):
+    """A point in degrees, metres above the ground, and a time of its own."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    lon: float = Field(ge=-1e9, le=1e9, allow_inf_nan=False, strict=True)
+    lat: float = Field(ge=-1e9, le=1e9, allow_inf_nan=False, strict=True)
+    height: float = Field(default=0.0, ge=0.0, le=HIGHEST_EYE_M, allow_inf_nan=False, strict=True)
+    time: Annotated[AwareDatetime | None, PLAIN_TIME] = None
+
+
+class PointsQuery(BaseModel):
+    """Many points, and the time and the day that those without a time are asked for."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    points: list[PointOfMany] = Field(min_length=1, max_length=MAX_POINTS)
+    time: Annotated[AwareDatetime | None, PLAIN_TIME] = None
+    date: DayOrNone = None
+    clock: str | None = Field(default=None, max_length=60)
+
+
+MANY_POINTS: dict[str, Any] = {"points": [{"lon": 8.43, "lat": 47.5}], "date": "2024-03-21"}
+"""An example of what a client may send."""
+
+
+class ReportedPoint(BaseModel):
+    """What is said of a point of many; ``remark`` says why the rest is null."""
+
+    lon: float
+    lat: float
+    height_m: float
+    time: datetime | None
+    elevation_m: float | None
+    now: ReportedMoment | None
+    direct_h: float | None
+    remark: str | None
+
+
+class PointsReport(BaseModel):
+    """The points in their order."""
+
+    points: list[ReportedPoint]
+
+
+async def point_query(
+    lon: LonQuery,
+    lat: LatQuery,
+    date: DateQuery = None,
+    height: HeightQuery = 0.0,
+    clock: ClockQuery = None,
+    year: YearQuery = None,
+) -> PointQuery:
+    """The dependency for a point."""
+    return PointQuery(lon=lon, lat=lat, height=height, date=date, clock=clock, year=year)
+
+
+ThePoint = Annotated[PointQuery, Depends(point_query)]
+
+
+@router.get(
+    "/levels/{level}/point",
+    summary="The sun at a point",
+    response_model=PointReport,
+    responses=file_docs("The report.", ["application/json"]),
+    dependencies=[Depends(allow_only(*POINT_PARAMETERS))],
+)
+async def sun_of_point(request: Request, service: TheService, level: LevelPath, point: ThePoint, time: TimeQuery = None) -> Any:
+    """Elevation; lit or not at a time, and by what not; the day's sun; and hours of each day of a year, if one is named."""
+    return await _answer(request, service, level, point, time, "report", "json", "application/json")
+
+
+@router.get(
+    "/levels/{level}/point/horizon.{suffix}",
+    summary="The horizon of a point, as a file",
+    response_class=Response,
+    responses=file_docs("The file.", dict.fromkeys(each.media_type for each in HORIZON_FORMATS.values())),
+    dependencies=[Depends(allow_only(*POINT_PARAMETERS, "format"))],
+)
+async def horizon_of_point(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    suffix: Annotated[Literal["csv", "json", "txt", "hor"], Path(description="Of the file.", examples=["csv"])],
+    point: ThePoint,
+    time: TimeQuery = None,
+    format: Annotated[
+        str | None,
+        Query(
+            description="; ".join(f"`{each.name}` (.{each.suffix}): {each.about}" for each in HORIZON_FORMATS.values()),
+            examples=["pvlib"],
+        ),
+    ] = None,
+) -> Response:
+    """Horizon angles all round a point, by ground, buildings and trees, in a format of solar tools; default: the suffix's first."""
+    fitting = [each for each in HORIZON_FORMATS.values() if each.suffix == suffix]
+    chosen = next((each for each in fitting if format in (None, each.name)), None)
+    if chosen is None:
+        raise InputError("format", format, f"of .{suffix} files: {', '.join(each.name for each in fitting)}")
+    return await _answer(request, service, level, point, time, "horizon", chosen.name, chosen.media_type)
+
+
+@router.get(
+    "/levels/{level}/point/sun.{format}",
+    summary="The sky over a point",
+    response_class=Response,
+    responses=file_docs("The chart.", SKY_MEDIA.values()),
+    dependencies=[Depends(allow_only(*POINT_PARAMETERS))],
+)
+async def sky_of_point(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    format: Annotated[Literal["svg", "png", "json"], Path(description="Of the picture; `json`: its figures.", examples=["svg"])],
+    point: ThePoint,
+    time: TimeQuery = None,
+) -> Response:
+    """A chart of the sky: the horizon, and the sun's paths of the day, the solstices and the equinox with their hours.
+
+    As JSON its figures, for charts of one's own: `horizon`, degrees towards each `azimuth` of ground, buildings and leaves, and
+    `path`, the day's sun every five minutes with `azimuth`, `altitude`, and whether it shines on the point.
+    """
+    return await _answer(request, service, level, point, time, "sky", format, SKY_MEDIA[format])
+
+
+@router.post(
+    "/levels/{level}/point",
+    summary="The sun at many points",
+    response_model=PointsReport,
+    responses=problem_docs(413),
+    dependencies=[Depends(allow_only())],
+)
+async def sun_of_points(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    asked: Annotated[PointsQuery, Body(description=f"Up to {MAX_POINTS} points.", examples=[MANY_POINTS])],
+) -> Any:
+    """Elevation, lit or not and by what not, and hours of direct sun of the day, at each point; off the data null, and why."""
+    served = await service.level(level)
+    points = tuple(TrackPoint(each.lon, each.lat, each.height, each.time) for each in asked.points)
+    query = PointQuery(lon=0.0, lat=0.0, date=asked.date, clock=asked.clock)
+    wanted = _request(asked.time)
+    found: list[Any] = []
+    for first in range(0, len(points), POINTS_A_JOB):
+        job = PointsJob(level=served.key, points=points[first : first + POINTS_A_JOB], query=query, request=wanted)
+        found += json.loads(await run_point(request, service, job))
+    return JSONResponse({"points": found}, headers={"Cache-Control": "no-store"})
+
+
+async def _answer(
+    request: Request,
+    service: Service,
+    level: str,
+    point: PointQuery,
+    time: str | None,
+    product: PointProduct,
+    format: str,
+    media_type: str,
+) -> Response:
+    served = await service.level(level)
+    sun = asked_sun(request, time, None, None, service.settings.time_grain_s)
+    point, fresh_s = of_a_day(point, sun)
+    job = PointJob(level=served.key, query=point, product=product, format=format, request=PictureRequest(sun=sun))
+    tag = tag_of(served.version, level, "point", job.model_dump(exclude={"level"}, exclude_none=True))
+    headers = cache_headers(tag, fresh_for(request, fresh_s)) | time_headers(request)
+    if is_fresh(request, headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    return Response(await run_point(request, service, job), headers=headers, media_type=media_type)
+
+
+def _request(time: datetime | None) -> PictureRequest:
+    if time is not None:
+        check_times(as_utc([time]))
+    return PictureRequest(sun=None if time is None else SunSpec(time=time))

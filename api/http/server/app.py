@@ -1,0 +1,172 @@
+"""The HTTP service: an application of its routes."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from fastapi import FastAPI, Request, Response
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from skugga.api.animations.animations import Animations
+from skugga.api.animations.drawing import frames_drawn_by, write_animation
+from skugga.api.errors import TooLargeError
+from skugga.api.http import problems
+from skugga.api.http.answers import EXPOSED_HEADERS, VERSION
+from skugga.api.http.levels import routes_level_page, routes_levels, routes_plan
+from skugga.api.http.ogc import routes_wms, routes_wmts
+from skugga.api.http.points import routes_point
+from skugga.api.http.server import routes_docs, routes_health, routes_viewer
+from skugga.api.http.server.bearer_token import BearerToken
+from skugga.api.http.server.cross_origin import CrossOrigin
+from skugga.api.http.server.first_blocks import first_blocks
+from skugga.api.http.server.openapi import install_openapi
+from skugga.api.http.server.problem_handlers import install_problem_handlers
+from skugga.api.http.server.sent_before import SentBefore
+from skugga.api.http.server.watching import CLIENT_GONE, KEPT, Watched
+from skugga.api.http.state.encoded_tiles import EncodedTiles
+from skugga.api.http.state.metrics import ServiceMetrics
+from skugga.api.http.state.new_suns import NewSuns
+from skugga.api.http.state.served_archives import ServedArchives
+from skugga.api.http.state.served_levels import ServedLevels
+from skugga.api.http.state.service import ClientGoneError, Service
+from skugga.api.http.tiles import routes_archives, routes_map, routes_tiles
+from skugga.api.http.views import routes_animations, routes_snapshot
+from skugga.api.settings import Settings
+from skugga.api.workers.idle_calibration import measured_profile
+from skugga.api.workers.idle_probes import Probe, probed_level
+from skugga.api.workers.jobs import LevelKey
+from skugga.api.workers.pool import Pool
+from skugga.api.workers.spawned import Spawned, WorkerTarget
+from skugga.api.workers.worker_main import worker_main
+from skugga.selector.cost.device_profile import DeviceProfile
+from skugga.terrain.level.level_source import LevelSource
+
+
+def create_app(
+    settings: Settings,
+    levels: Sequence[Path | LevelSource],
+    worker_target: WorkerTarget = worker_main,
+    measure: Callable[[], DeviceProfile] = measured_profile,
+    probe: Probe = probed_level,
+    archives: Sequence[Path] = (),
+    spawned: Spawned | None = None,
+) -> FastAPI:
+    """The application over some levels, those of the settings' folder, and archives of tiles; its render processes run from its
+    start to its end, if there may be levels; the first one may have been ``spawned`` before. A device without a calibration is
+    given one by ``measure`` while nothing is drawn, and levels are probed by ``probe``.
+
+    Raises ``LevelError``, ``SourceError`` or ``InputError`` for a level that cannot be served, ``ArchiveError`` for an archive,
+    also one that a level names; of the folder's levels such are left out, and such archives told of in the log.
+    """
+    served = ServedLevels(
+        levels, settings.remote_sources, settings.level_check_s, settings.level_timeout_s, settings.levels, settings.data_roots
+    )
+    named = served.known_named()
+    of_tiles = ServedArchives(archives, settings.level_check_s, settings.level_timeout_s)
+    for level in named:
+        of_tiles.check_level(level)
+    pool = Pool(settings, worker_target, lambda: first_blocks(served), measure, probe, spawned)
+    tiles = EncodedTiles(settings.tile_cache_bytes)
+
+    async def level_now(name: str) -> LevelKey:
+        return (await served.current(name)).key
+
+    animations = Animations(settings, frames_drawn_by(pool, level_now), write_animation)
+    metrics = ServiceMetrics(pool, tiles, animations)
+    service = Service(settings, served, of_tiles, pool, tiles, NewSuns(settings.new_suns_per_minute), animations, metrics)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        if service.draws:
+            service.pool.open()
+        try:
+            yield
+        finally:
+            await service.close()
+
+    app = FastAPI(
+        title="Skugga", version=VERSION, description="Terrain with the sun's true cast shadows, as map tiles and pictures.",
+        lifespan=lifespan, docs_url=None, redoc_url=None,
+    )  # fmt: skip
+    app.state.service = service
+    app.add_middleware(SentBefore, service=service)
+    app.add_middleware(HeadAsGet)
+    app.add_middleware(BoundedBody, max_bytes=settings.max_body_bytes)
+    if settings.api_token is not None:
+        app.add_middleware(BearerToken, token=settings.api_token.get_secret_value())
+    # Round those that refuse, so that pages of other origins can read why. No header of a request brings cookies or the like with
+    # it: pages may send any.
+    app.add_middleware(
+        CrossOrigin, allow_origins=list(settings.cors_origins), allow_methods=["GET", "HEAD", "POST", "DELETE"],
+        allow_headers=["*"], expose_headers=list(EXPOSED_HEADERS),
+    )  # fmt: skip
+    app.add_middleware(Watched, metrics=metrics, access_log=settings.access_log)
+    install_problem_handlers(app)
+    app.add_exception_handler(ClientGoneError, _nobody_reads)
+    for routes in (
+        routes_wmts, routes_wms, routes_level_page, routes_levels, routes_plan, routes_point, routes_tiles, routes_map,
+        routes_snapshot, routes_animations, routes_archives, routes_health,
+    ):  # fmt: skip
+        app.include_router(routes.router)
+    routes_docs.install_docs(app)
+    routes_viewer.install_viewer(app, routes_viewer.STATIC_FOLDER)
+    install_openapi(app, service)
+    return app
+
+
+class HeadAsGet:
+    """Answers HEAD as GET without the body."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Run the application."""
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await self.app(scope, receive, send)
+            return
+
+        async def send_head(message: Message) -> None:
+            await send({**message, "body": b""} if message["type"] == "http.response.body" else message)
+
+        as_get = {**scope, "method": "GET"}
+        await self.app(as_get, receive, send_head)
+        scope.update({key: as_get[key] for key in (KEPT, "route") if key in as_get})
+
+
+class BoundedBody:
+    """Refuses bodies of more than so many bytes, before they are read where they tell their length."""
+
+    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
+        self.app, self.max_bytes = app, max_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Run the application."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        error = TooLargeError(
+            "body", f"more than {self.max_bytes} bytes", f"at most {self.max_bytes} bytes (SKUGGA_MAX_BODY_BYTES)"
+        )
+        content_length = dict(scope["headers"]).get(b"content-length", b"0")
+        if content_length.isdigit() and int(content_length) > self.max_bytes:
+            await problems.domain_problem(Request(scope), error)(scope, receive, send)
+            return
+        read = 0
+
+        async def receive_some() -> Message:
+            nonlocal read
+            message = await receive()
+            read += len(message.get("body", b""))
+            if read > self.max_bytes:
+                raise HTTPException(413, str(error))
+            return message
+
+        await self.app(scope, receive_some, send)
+
+
+async def _nobody_reads(request: Request, error: Exception) -> Response:
+    return Response(status_code=CLIENT_GONE)

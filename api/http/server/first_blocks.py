@@ -1,0 +1,25 @@
+"""The block of each served level for which idle render processes prepare."""
+
+from __future__ import annotations
+
+from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel, ServedLevels
+from skugga.api.matrices import matrix_set_of
+from skugga.api.workers.block_tiles import place_in_block
+from skugga.api.workers.jobs import BlockJob
+
+
+def first_blocks(levels: ServedLevels) -> tuple[BlockJob, ...]:
+    """Return the block in the middle of each level that has tiles, at its first zoom."""
+    blocks = (first_block(level) for level in levels.known())
+    return tuple(block for block in blocks if block is not None)
+
+
+def first_block(level: ServedLevel, zoom: int | None = None) -> BlockJob | None:
+    """Return the block in the middle of a level at a zoom, by default its first one; ``None`` where it has no tiles."""
+    zooms = level.zooms.get(DEFAULT_MATRIX_SET)
+    if zooms is None or level.bounds is None:
+        return None
+    west, south, east, north = level.bounds
+    tile = matrix_set_of(DEFAULT_MATRIX_SET).tile((west + east) / 2.0, (south + north) / 2.0, zooms.first if zoom is None else zoom)
+    (x, y), _ = place_in_block(tile.x, tile.y, 1)
+    return BlockJob(level=level.key, matrix_set=DEFAULT_MATRIX_SET, zoom=tile.z, block_x=x, block_y=y)

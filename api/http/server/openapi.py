@@ -1,0 +1,121 @@
+"""The OpenAPI document of an application: its routes with examples that the levels it serves answer."""
+
+from __future__ import annotations
+
+from typing import Any
+from urllib.parse import quote, urlencode
+
+from fastapi import APIRouter, FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from skugga.api.http.documented import ANYWHERE, EXAMPLE_QUERY, problem_docs, with_bounds
+from skugga.api.http.problems import Problem
+from skugga.api.http.server.bearer_token import OPEN_PATHS
+from skugga.api.http.state.archive_file import ArchiveFile
+from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
+from skugga.api.http.state.service import Service
+from skugga.api.matrices import matrix_set_of
+
+DIGITS = 5
+"""Of degrees in examples."""
+
+
+def install_openapi(app: FastAPI, service: Service) -> None:
+    """Give an application its document, which is made when it is first asked for."""
+
+    def openapi() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            made = get_openapi(title=app.title, version=app.version, description=app.description, routes=app.routes)
+            app.openapi_schema = _completed(made, service)
+        return app.openapi_schema
+
+    app.openapi = openapi  # type: ignore[method-assign]
+
+
+def _completed(document: dict[str, Any], service: Service) -> dict[str, Any]:
+    token, places = service.settings.api_token is not None, places_of(service.levels.known())
+    document = with_bounds(document)
+    schemas = document["components"]["schemas"]
+    schemas[Problem.__name__] = Problem.model_json_schema(mode="serialization")
+    schemas |= _plan_schemas()
+    for unused in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(unused, None)
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            closed = token and path not in OPEN_PATHS
+            answers = problem_docs(*ANYWHERE, *([401] if closed else [])) | _with_whole_statuses(operation["responses"])
+            operation["responses"] = {str(status): answers[status] for status in sorted(answers)}
+            if closed:
+                operation["security"] = [{"token": []}]
+            _give_examples(operation, places_in(service.archives.known()) if path.startswith("/archives") else places)
+            query = operation.pop(EXAMPLE_QUERY, {})
+            operation["description"] += f"\n\nFor example: `{method.upper()} {example_address(path, operation, query)}`"
+    if token:
+        document["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+    return document
+
+
+def _plan_schemas() -> dict[str, Any]:
+    """The schemas of a plan and of all that it is made of, by name: those of a route that answers with one."""
+    from skugga.shadows.plan import Plan
+
+    router = APIRouter()
+    router.add_api_route("/plan", lambda: None, response_model=Plan)
+    found: dict[str, Any] = get_openapi(title="", version="", routes=router.routes)["components"]["schemas"]
+    return found
+
+
+def _with_whole_statuses(answers: dict[str, Any]) -> dict[int | str, Any]:
+    return {int(status): answer for status, answer in answers.items() if "HTTPValidationError" not in str(answer)}
+
+
+def places_of(levels: list[ServedLevel]) -> dict[str, Any]:
+    """Examples of parameters that say where, by their names: in the first of some levels that has tiles, else of the first."""
+    on_earth = [level for level in levels if level.bounds is not None and DEFAULT_MATRIX_SET in level.zooms]
+    if not on_earth:
+        return {"level": levels[0].name} if levels else {}
+    level = on_earth[0]
+    assert level.bounds is not None
+    west, south, east, north = (round(each, DIGITS) for each in level.bounds)
+    lon, lat = round((west + east) / 2, DIGITS), round((south + north) / 2, DIGITS)
+    zoom = level.zooms[DEFAULT_MATRIX_SET].first
+    tile = matrix_set_of(DEFAULT_MATRIX_SET).tile(lon, lat, zoom)
+    bbox = f"{west},{south},{east},{north}"
+    return {
+        "level": level.name, "z": zoom, "x": tile.x, "y": tile.y, "zoom": zoom, "lon": lon, "lat": lat, "bbox": bbox,
+        "points": [{"lon": lon, "lat": lat}],
+        "LAYER": f"{level.name}:color", "LAYERS": f"{level.name}:color", "QUERY_LAYERS": f"{level.name}:color",
+        "TILEMATRIX": str(zoom), "TILEROW": str(tile.y), "TILECOL": str(tile.x), "BBOX": bbox,
+    }  # fmt: skip
+
+
+def places_in(archives: dict[str, ArchiveFile]) -> dict[str, Any]:
+    """The same of the first of some archives: a tile that it has."""
+    for name, archive in archives.items():
+        zoom, x, y = archive.first_tile
+        return {"archive": name, "z": zoom, "x": x, "y": y, "format": archive.format}
+    return {}
+
+
+def _give_examples(operation: dict[str, Any], places: dict[str, Any]) -> None:
+    for parameter in operation.get("parameters", ()):
+        if parameter["name"] in places:
+            parameter["schema"]["examples"] = [places[parameter["name"]]]
+        # The interface's page fills its form with these: the others do not all go together.
+        if parameter.get("required") and "examples" in parameter["schema"]:
+            parameter["example"] = parameter["schema"]["examples"][0]
+    for content in operation.get("requestBody", {}).get("content", {}).values():
+        example = content["schema"].pop("examples")[0]
+        content["example"] = {key: places.get(key, value) for key, value in example.items()}
+
+
+def example_address(path: str, operation: dict[str, Any], query: dict[str, str]) -> str:
+    """The path and query of an operation's example: of its ``query``, and else of the parameters that it needs."""
+    parameters = operation.get("parameters", [])
+    examples = {each["name"]: each["schema"]["examples"][0] for each in parameters if "examples" in each["schema"]}
+    for each in parameters:
+        if each["in"] == "path":
+            path = path.replace(f"{{{each['name']}}}", quote(str(examples[each["name"]])))
+    asked = dict.fromkeys(each["name"] for each in parameters if each["in"] == "query" and each.get("required")) | query
+    pairs = urlencode({name: value or examples[name] for name, value in asked.items()}, safe=":,/+")
+    return f"{path}?{pairs}" if pairs else path

@@ -1,0 +1,82 @@
+"""The handlers of an application that answer every error as a problem document."""
+
+from __future__ import annotations
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse, Response
+from starlette.exceptions import HTTPException
+from starlette.routing import Match, Mount
+
+from skugga.api.http.answers import wants_page
+from skugga.api.http.problems import domain_problem, problem_of, problem_response
+from skugga.api.http.server.not_found import not_found_page
+from skugga.terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError, printable
+from skugga.terrain.level.level_errors import UNKNOWN_KEY
+
+
+def install_problem_handlers(app: FastAPI) -> None:
+    """Answer every error of an application as a problem document."""
+
+    async def domain(request: Request, error: Exception) -> JSONResponse:
+        assert isinstance(error, SkuggaError)
+        return domain_problem(request, error)
+
+    async def validation(request: Request, error: Exception) -> JSONResponse:
+        assert isinstance(error, RequestValidationError)
+        return domain_problem(request, _first_wrong(error))
+
+    async def http(request: Request, error: Exception) -> Response:
+        assert isinstance(error, HTTPException)
+        headers = dict(error.headers or {})
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(_methods_at(request))
+        said = {
+            400: "body: it cannot be read; allowed: JSON in UTF-8, nested not too deeply",  # nothing else is read before a route
+            404: f"There is nothing at {printable(request.url.path[:200])}.",
+            405: f"There is no {request.method[:20]} here; allowed: {headers.get('Allow')}.",
+        }
+        detail = said.get(error.status_code, str(error.detail))
+        if error.status_code == 404 and wants_page(request):
+            return not_found_page(request, detail)
+        parameter = "body" if error.status_code in (400, 413) else None
+        return problem_response(problem_of(error.status_code, detail, parameter=parameter), headers)
+
+    async def unexpected(request: Request, error: Exception) -> JSONResponse:
+        return problem_response(problem_of(500))
+
+    app.add_exception_handler(SkuggaError, domain)
+    app.add_exception_handler(RequestValidationError, validation)
+    app.add_exception_handler(HTTPException, http)
+    app.add_exception_handler(Exception, unexpected)
+
+
+def _methods_at(request: Request) -> list[str]:
+    """The methods that an address has, by all routes that lead there: the framework tells of the first alone."""
+
+    def has(method: str) -> bool:
+        scope = {**request.scope, "method": method}
+        routes = [route for route in request.app.routes if method == "GET" or not isinstance(route, Mount)]  # of files
+        return any(route.matches(scope)[0] is Match.FULL for route in routes)
+
+    return [*(["GET", "HEAD"] if has("GET") else []), *(method for method in ("POST", "DELETE") if has(method))]
+
+
+def _first_wrong(error: RequestValidationError) -> InputError:
+    """The first thing that is wrong: a parameter by its name, a part of the body by its path."""
+    detail = error.errors()[0]
+    where, *path = detail["loc"]
+    name = ".".join(str(part) for part in path) or "body" if where == "body" else str(detail["loc"][-1])
+    if detail["type"] == "json_invalid":
+        return InputError("body", Fault(f"not valid JSON at character {path[0]} ({detail['ctx']['error']})"), "JSON")
+    if detail["type"] == "missing":
+        return InputError(name, MISSING_VALUE, "a value: it is required")
+    if where == "body" and isinstance(detail.get("input"), bytes):
+        return InputError("body", Fault("not sent as JSON"), "JSON, with Content-Type: application/json")
+    if detail["type"] == UNKNOWN_KEY:
+        where = ".".join([*map(str, path), detail["ctx"]["key"]])
+        return InputError(where, Fault("unknown key"), detail["ctx"]["known"])
+    if detail["type"] == "model_attributes_type":
+        return InputError(name, detail.get("input"), "an object")
+    allowed = detail["msg"].removeprefix("Input should be ")
+    return InputError(name, detail.get("input"), allowed[:1].lower() + allowed[1:])

@@ -1,0 +1,52 @@
+"""The viewer on ``/``, or where it was not built a page that says so."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from urllib.parse import quote
+
+from fastapi import FastAPI
+from fastapi.responses import FileResponse, HTMLResponse, Response
+from starlette.concurrency import run_in_threadpool
+from starlette.staticfiles import StaticFiles
+
+from skugga.api.http.server.watching import page_policy
+from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET
+from skugga.api.http.state.service import TheService
+
+STATIC_FOLDER = Path(__file__).parents[2] / "static"
+
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>Skugga</title>
+<link rel="icon" href="data:,"></head><body>
+<h1>Skugga</h1>
+<p>The viewer was not built (<code>make viewer</code> builds it); the service works without it.</p>
+<ul>{items}</ul>
+<p><a href="levels">Levels</a>, <a href="docs">interface</a></p>
+</body></html>
+"""
+
+
+def install_viewer(app: FastAPI, folder: Path) -> None:
+    """Serve the viewer of a folder: its page on ``/``, its parts under ``/assets``, all of it under ``/static``."""
+
+    @app.get("/", include_in_schema=False)
+    async def index(service: TheService) -> Response:
+        page = folder / "index.html"
+        if await run_in_threadpool(page.is_file):
+            # Tiles of a base map come from whichever server somebody names; scripts never do.
+            policy = page_policy(tiles="'self' https: http:")
+            return FileResponse(page, headers={"Cache-Control": "no-cache", "Content-Security-Policy": policy})
+        levels = await service.all_levels()
+        items = "".join(
+            f'<li>{escape(level.loaded.level.title or level.name)}: '
+            f'<a href="levels/{quote(level.name)}/{DEFAULT_MATRIX_SET}/tilejson.json">TileJSON</a></li>'
+            for level in levels
+        )  # fmt: skip
+        return HTMLResponse(_PAGE.format(items=items))
+
+    # The page addresses its parts relative to itself.
+    for path, part in (("/assets", folder / "assets"), ("/static", folder)):
+        if part.is_dir():
+            app.mount(path, StaticFiles(directory=part), name=path.strip("/"))

@@ -1,0 +1,43 @@
+"""Tiles that were sent are sent again before an application looks at a request."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from starlette.requests import Request
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from skugga.api.http.server.watching import KEPT
+from skugga.api.http.state.encoded_tiles import DrawnBy, EncodedTile
+from skugga.api.http.state.service import Service
+
+KEPT_TILE = "/levels/{level}/tiles/{tms}/{z}/{x}/{y} (kept)"
+"""The route in metrics and logs of tiles that are answered before one is looked for."""
+
+
+def drawn_by(service: Service, name: str) -> DrawnBy:
+    """What the tiles of a level hang on besides their addresses."""
+    level = service.levels.unchanged(name)
+    archives = None if level is None else service.archives.unchanged_of(level)
+    if level is None or archives is None:
+        return (None,)
+    return level.version, service.pool.renderer, service.pool.plan_version(level.key), archives.version
+
+
+class SentBefore:
+    """Answers for tiles that are kept, before an application looks at a request."""
+
+    def __init__(self, app: ASGIApp, service: Service) -> None:
+        self.app, self.service = app, service
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer, or run the application."""
+        tile = self._sent(scope) if scope["type"] == "http" and scope["method"] == "GET" else None
+        if tile is None:
+            await self.app(scope, receive, send)
+        else:
+            scope[KEPT] = KEPT_TILE
+            await tile.answer(Request(scope))(scope, receive, send)
+
+    def _sent(self, scope: Scope) -> EncodedTile | None:
+        return self.service.tiles.sent_before(scope, partial(drawn_by, self.service))

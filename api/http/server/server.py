@@ -1,0 +1,172 @@
+"""The server that runs the application: where it listens, how it logs, what signals do, and how it stops."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import resource
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+
+from skugga.api.http.server.app import create_app
+from skugga.api.http.server.bounded_headers import BoundedHeaders
+from skugga.api.http.server.listening import BoundedListener
+from skugga.api.http.server.watching import LogLine
+from skugga.api.http.state.service import Service
+from skugga.api.settings import Settings
+from skugga.api.workers.process_life import open_descriptors
+from skugga.api.workers.spawned import Spawned
+from skugga.terrain.level.level_source import LevelSource
+
+LAST_ANSWERS_S = 3
+"""How long a stopping server waits for clients to read their answers."""
+
+DESCRIPTORS_A_WORKER = 10
+"""File descriptors that are left to each render process: its pipe, its end, and what its start takes."""
+
+DESCRIPTORS_A_FILM = 4
+"""For each film that is being written; one that is kept has one."""
+
+DESCRIPTORS_LEFT = 16
+"""What is left besides: for files of levels and of the viewer, and for logs."""
+
+FOLDER_AGAIN_S = 5.0
+"""After how long reading the folder of levels is tried again where no thread can be started for it."""
+
+LEAST_CONNECTIONS = 8
+BACKLOG = 2048
+
+
+def log_config(settings: Settings) -> dict[str, Any]:
+    """How the server logs: all to standard error. Of uvicorn's own only errors: its warnings are of single requests that are
+    wrong, and whoever sends them could fill a disk.
+    """
+    loggers = {"skugga": "INFO", "uvicorn.error": "ERROR", "uvicorn.access": "ERROR"}
+    return {
+        "version": 1,
+        "disable_existing_loggers": False,
+        "formatters": {"line": {"()": LogLine, "as_json": settings.log_format == "json"}},
+        "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line"}},
+        "loggers": {name: {"handlers": ["stderr"], "level": level, "propagate": False} for name, level in loggers.items()},
+    }
+
+
+log = logging.getLogger("skugga")
+
+
+class Server(uvicorn.Server):
+    """Takes as many connections as it can serve, says where it listens, and stops without waiting for pictures that are still to
+    be drawn. SIGHUP looks at all levels' files anew, and at which there are; SIGUSR1 logs how the service is.
+    """
+
+    def __init__(self, config: uvicorn.Config, service: Service) -> None:
+        super().__init__(config)
+        self._service = service
+
+    async def startup(self, sockets: Any = None) -> None:
+        """Listen."""
+        config, settings = self.config, self._service.settings
+        await self.lifespan.startup()
+        if self.lifespan.should_exit:
+            sys.exit(1)
+        try:
+            listening = list(sockets or _listening(config.host, config.port))
+        except OSError as error:
+            log.error("cannot listen on %s, port %d: %s", config.host, config.port, error.strerror)
+            await self.lifespan.shutdown()
+            sys.exit(1)
+
+        def make_protocol() -> asyncio.Protocol:
+            return config.http_protocol_class(  # type: ignore[call-arg]
+                config=config, server_state=self.server_state, app_state=self.lifespan.state
+            )
+
+        limit = connection_limit(settings)
+        self.servers = [
+            BoundedListener(each, make_protocol, self.server_state.connections, limit, settings.client_timeout_s)  # type: ignore[misc]
+            for each in listening
+        ]
+        self._take_signals()
+        self.started = True
+        served = [level.name for level in self._service.levels.known()]
+        served += [f"archive {name}" for name in self._service.archives.names()]
+        names = ", ".join(served) or "no level yet"
+        host, port = listening[0].getsockname()[:2]
+        log.info("Skugga serves %s on http://%s:%d", names, f"[{host}]" if ":" in host else host, port)
+
+    async def shutdown(self, sockets: Any = None) -> None:
+        """End animations and render processes, answer what waits for them, and stop."""
+        await self._service.close()
+        await super().shutdown(sockets)
+        log.info("Skugga has stopped")
+
+    def _take_signals(self) -> None:
+        with suppress(RuntimeError, ValueError, NotImplementedError):  # outside of the main thread there are none
+            loop = asyncio.get_running_loop()
+            loop.add_signal_handler(signal.SIGHUP, self._reload)
+            loop.add_signal_handler(signal.SIGUSR1, self._say_how_it_is)
+
+    def _reload(self) -> None:
+        log.info("SIGHUP: looking at the files of all levels")
+        self._service.levels.look_again()
+        self._service.archives.look_again()
+        self._read_folder()
+
+    def _read_folder(self) -> None:
+        """Read the folder of levels in a thread of its own: that takes as long as it takes. Try again where none can be started."""
+        try:
+            threading.Thread(target=self._service.levels.read_folder_again, name="read the folder of levels", daemon=True).start()
+        except (RuntimeError, MemoryError) as error:
+            log.error("the folder of levels cannot be read: %s; trying again in %g s", error, FOLDER_AGAIN_S)
+            asyncio.get_running_loop().call_later(FOLDER_AGAIN_S, self._read_folder)
+
+    def _say_how_it_is(self) -> None:
+        pool = self._service.pool
+        log.info(
+            "SIGUSR1: %d connections, %d requests, %d pictures wait, %d are drawn, %d animations are not done, render processes %s",
+            len(self.server_state.connections), len(self.server_state.tasks), pool.queued, pool.running,
+            self._service.animations.going, sorted(pool.pids),
+        )  # fmt: skip
+
+
+def connection_limit(settings: Settings) -> int:
+    """How many connections there may be: as the settings say, but no more than file descriptors are left for."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY:
+        return settings.max_connections
+    films = settings.animations_kept + DESCRIPTORS_A_FILM * settings.animations_at_a_time
+    left = soft - open_descriptors() - DESCRIPTORS_A_WORKER * settings.workers - films - DESCRIPTORS_LEFT
+    if left < settings.max_connections:
+        log.warning("at most %d connections at a time: the limit of open files is %d", max(left, LEAST_CONNECTIONS), soft)
+    return min(settings.max_connections, max(left, LEAST_CONNECTIONS))
+
+
+def serve(
+    settings: Settings, levels: Sequence[Path | LevelSource], archives: Sequence[Path] = (), spawned: Spawned | None = None
+) -> None:
+    """Serve levels and archives of tiles until SIGINT or SIGTERM; the first render process may have been ``spawned`` before.
+
+    Raises as ``create_app`` does.
+    """
+    app = create_app(settings, levels, archives=archives, spawned=spawned)
+    config = uvicorn.Config(
+        app, host=settings.host, port=settings.port, access_log=False, log_config=log_config(settings), http=BoundedHeaders,
+        ws="none", server_header=False, timeout_graceful_shutdown=LAST_ANSWERS_S,
+    )  # fmt: skip
+    with suppress(KeyboardInterrupt):
+        Server(config, app.state.service).run()
+
+
+def _listening(host: str, port: int) -> list[socket.socket]:
+    """Sockets that listen on all addresses of a host's name."""
+    found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    addresses = dict.fromkeys((family, address) for family, _, _, _, address in found)
+    return [socket.create_server(address, family=family, backlog=BACKLOG) for family, address in addresses]

@@ -1,0 +1,172 @@
+"""Round every request: its number, its line in the access log, its metrics, and headers that all answers have."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import secrets
+import time
+from contextvars import ContextVar
+from typing import Any
+
+from starlette.datastructures import MutableHeaders
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from skugga.api.exhaustion import exhausted_error
+from skugga.api.http.moments import TIME_HEADER
+from skugga.api.http.problems import domain_problem, problem_of, problem_response
+from skugga.api.http.state.metrics import ServiceMetrics
+
+REQUEST_ID = "X-Request-ID"
+SANE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+"""What a request may bring as its number: nothing that means anything in a log, a header or a page."""
+
+KEPT = "skugga.kept"
+"""Key of a scope: the route that a kept answer stands for, before any was looked for."""
+
+
+def page_policy(tiles: str = "'self'") -> str:
+    """What a page may load (Content Security Policy, level 3): nothing from elsewhere, but pictures and data from ``tiles``.
+
+    The map draws in workers that it makes of its own code.
+    """
+    return (
+        f"default-src 'self'; img-src {tiles} data: blob:; connect-src {tiles}; style-src 'self' 'unsafe-inline'; "
+        "worker-src 'self' blob:; child-src blob:; object-src 'none'; base-uri 'self'; frame-ancestors 'self'"
+    )
+
+
+CLIENT_GONE = 499
+"""Status in logs and metrics of a request whose client has gone, as nginx has it; nobody reads it."""
+
+METHODS = {"GET", "HEAD", "POST", "DELETE", "OPTIONS"}
+
+request_id: ContextVar[str] = ContextVar("request_id", default="")
+
+log = logging.getLogger("skugga")
+access = logging.getLogger("skugga.access")
+
+
+class Watched:
+    """Numbers, counts and times requests, and answers what nobody foresaw. The outermost part of an application."""
+
+    def __init__(self, app: ASGIApp, metrics: ServiceMetrics, access_log: bool) -> None:
+        self.app, self.metrics, self.access_log = app, metrics, access_log
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Run the application."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        began_s, status, sent_bytes = time.perf_counter(), 0, 0
+        number = _number_of(scope)
+        token = request_id.set(number)
+        scope.setdefault("state", {})
+
+        async def send_watched(message: Message) -> None:
+            nonlocal status, sent_bytes
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                _complete(MutableHeaders(scope=message), scope, number, (time.perf_counter() - began_s) * 1000.0)
+            sent_bytes += len(message.get("body", b""))
+            await send(message)
+
+        self.metrics.in_progress.inc()
+        try:
+            await self.app(scope, receive, send_watched)
+        except Exception as error:
+            exhausted = exhausted_error(error)
+            if exhausted is None:
+                log.exception("%s %s failed unexpectedly", scope["method"], _shown(scope["path"]))
+            if not status:
+                answer = problem_response(problem_of(500)) if exhausted is None else domain_problem(Request(scope), exhausted)
+                await answer(scope, receive, send_watched)
+        finally:
+            took_s = time.perf_counter() - began_s
+            self.metrics.in_progress.dec()
+            self._count(scope, status or CLIENT_GONE, took_s)
+            if self.access_log:
+                self._tell(scope, status or CLIENT_GONE, took_s, sent_bytes)
+            request_id.reset(token)
+
+    def _count(self, scope: Scope, status: int, took_s: float) -> None:
+        route, method = _route(scope), scope["method"] if scope["method"] in METHODS else "other"
+        self.metrics.requests.labels(route, method, str(status)).inc()
+        self.metrics.request_seconds.labels(route).observe(took_s)
+
+    def _tell(self, scope: Scope, status: int, took_s: float, sent_bytes: int) -> None:
+        client = scope.get("client") or ("",)
+        access.info(
+            "request",
+            extra={
+                "fields": {
+                    "client": client[0], "method": scope["method"][:20], "path": _shown(scope["path"]),
+                    "query": _shown(scope["query_string"].decode("latin-1")), "route": _route(scope), "status": status,
+                    "ms": round(took_s * 1000.0, 1), "bytes": sent_bytes,
+                }
+            },
+        )  # fmt: skip
+
+
+class LogLine(logging.Formatter):
+    """Lines of a log, each with the number of the request that it is about, as text or as JSON."""
+
+    def __init__(self, as_json: bool = False) -> None:
+        super().__init__("%(asctime)s %(levelname)s %(message)s")
+        self._as_json = as_json
+
+    def format(self, record: logging.LogRecord) -> str:
+        """One line; a traceback follows it, or is in it."""
+        fields: dict[str, Any] = getattr(record, "fields", {})
+        number = request_id.get()
+        if not self._as_json:
+            words = [f"{name}={json.dumps(value) if isinstance(value, str) else value}" for name, value in fields.items()]
+            line = super().format(record)
+            head, newline, traceback = line.partition("\n")
+            return " ".join([head, *words, *([f"[{number}]"] if number else [])]) + newline + traceback
+        value = {"time": self.formatTime(record), "level": record.levelname, "message": record.getMessage()}
+        if number:
+            value["request_id"] = number
+        if record.exc_info:
+            value["traceback"] = self.formatException(record.exc_info)
+        return json.dumps({**value, **fields})
+
+
+def _number_of(scope: Scope) -> str:
+    given = dict(scope["headers"]).get(REQUEST_ID.lower().encode(), b"").decode("latin-1")
+    return given if SANE_ID.fullmatch(given) else secrets.token_hex(8)
+
+
+def _complete(headers: MutableHeaders, scope: Scope, number: str, took_ms: float) -> None:
+    """Give an answer what all of them have."""
+    headers[REQUEST_ID] = number
+    headers["X-Content-Type-Options"] = "nosniff"
+    timings = headers.get("Server-Timing")
+    headers["Server-Timing"] = f"{timings}, total;dur={took_ms:.1f}" if timings else f"total;dur={took_ms:.1f}"
+    asked = scope["state"].get("asked_time")
+    if asked is not None and TIME_HEADER not in headers:
+        headers[TIME_HEADER] = asked.time.isoformat()
+    location, public_url = headers.get("Location"), scope["app"].state.service.settings.public_url if "app" in scope else None
+    if location is not None and public_url is not None:
+        inner = str(Request(scope).base_url)
+        if location.startswith(inner):  # of the framework's own redirects
+            headers["Location"] = f"{public_url.rstrip('/')}/{location.removeprefix(inner)}"
+    expected = scope["state"].get("expected_time")
+    if expected is not None:
+        headers.update(expected.headers())
+    if headers.get("Content-Type", "").startswith("text/html"):
+        headers.setdefault("Content-Security-Policy", page_policy())
+        headers["Referrer-Policy"] = "same-origin"
+
+
+def _route(scope: Scope) -> str:
+    """The template of the address, and nothing that a client may choose."""
+    route = scope.get(KEPT) or getattr(scope.get("route"), "path", None)
+    return str(route) if route else "other"
+
+
+def _shown(text: str) -> str:
+    """A text of a client's in a log: short, on one line."""
+    return re.sub(r"[^\x20-\x7e]", "?", text[:500])

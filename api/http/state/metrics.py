@@ -1,0 +1,119 @@
+"""What the service tells Prometheus: requests by route, the queue and the render processes, caches, and passes by algorithm."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+from prometheus_client.exposition import generate_latest
+from prometheus_client.metrics_core import Metric
+from prometheus_client.registry import Collector
+
+from skugga.api.workers.jobs import BlockTiles, Snapshot
+from skugga.api.workers.process_life import open_descriptors, resident_bytes
+
+if TYPE_CHECKING:
+    from skugga.api.animations.animations import Animations
+    from skugga.api.http.state.encoded_tiles import EncodedTiles
+    from skugga.api.workers.pool import Pool
+
+MEDIA_TYPE_OF_METRICS = "text/plain; version=0.0.4; charset=utf-8"
+
+REQUEST_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
+PASS_BUCKETS_S = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+
+MOST_PASSES = 200
+"""Pairs of algorithm and pass that are told by name: requests may mix algorithms in many ways. Others are ``other``."""
+
+
+class ServiceMetrics:
+    """The metrics of an application, in a registry of their own. To be used from one event loop."""
+
+    def __init__(self, pool: Pool, tiles: EncodedTiles, animations: Animations) -> None:
+        self.registry = CollectorRegistry()
+        self._passes_told: set[tuple[str, str]] = set()
+        self.requests = Counter("skugga_requests", "Requests answered.", ("route", "method", "status"), registry=self.registry)
+        self.request_seconds = Histogram(
+            "skugga_request_seconds", "Time to the end of an answer.", ("route",), registry=self.registry, buckets=REQUEST_BUCKETS_S
+        )
+        self.in_progress = Gauge("skugga_requests_in_progress", "Requests that are being answered.", registry=self.registry)
+        self.pass_seconds = Histogram(
+            "skugga_pass_seconds", "Time of a pass of a drawn block or snapshot.", ("algorithm", "stage"),
+            registry=self.registry, buckets=PASS_BUCKETS_S,
+        )  # fmt: skip
+        self.clipped = Counter(
+            "skugga_reach_clipped",
+            "Drawn blocks and snapshots for which the data ended before the casters.",
+            registry=self.registry,
+        )
+        self.registry.register(_Seen(pool, tiles, animations))
+        pool.on_drawn = self.drawn
+
+    def drawn(self, drawn: BlockTiles | Snapshot) -> None:
+        """Count what was drawn."""
+        for name, ms in (*drawn.passes, ("encode", drawn.encode_ms)):
+            pair = drawn.headline, name
+            if pair not in self._passes_told and len(self._passes_told) >= MOST_PASSES:
+                pair = "other", "other"
+            self._passes_told.add(pair)
+            self.pass_seconds.labels(*pair).observe(ms / 1000.0)
+        if drawn.reach_clipped:
+            self.clipped.inc()
+
+    def text(self) -> bytes:
+        """All of it in Prometheus' text format."""
+        return generate_latest(self.registry)
+
+    def names(self) -> set[str]:
+        """The names of all series, as queries have them."""
+        found = {sample.name for family in self.registry.collect() for sample in family.samples}
+        return found | {name for family in self.registry.collect() for name in _names_of(family)}
+
+
+class _Seen(Collector):
+    """What is looked up when it is asked for."""
+
+    def __init__(self, pool: Pool, tiles: EncodedTiles, animations: Animations) -> None:
+        self._pool, self._tiles, self._animations = pool, tiles, animations
+
+    def collect(self) -> Iterable[Metric]:
+        pool, tally, tiles = self._pool, self._pool.tally, self._tiles
+        yield GaugeMetricFamily("skugga_ready", "Whether a render process is ready.", float(pool.ready))
+        yield GaugeMetricFamily("skugga_jobs_waiting", "Jobs that wait for a render process.", pool.queued)
+        yield GaugeMetricFamily("skugga_jobs_running", "Jobs that render processes work on.", pool.running)
+        jobs = CounterMetricFamily("skugga_jobs", "Jobs by how they ended.", labels=("outcome",))
+        for outcome in ("answered", "failed", "abandoned", "refused", "expired", "timed_out", "retried"):
+            jobs.add_metric([outcome], getattr(tally, outcome))
+        yield jobs
+        yield GaugeMetricFamily("skugga_render_processes", "Render processes that are ready.", len(pool.pids))
+        yield CounterMetricFamily("skugga_render_process_starts", "Render processes that became ready.", tally.started)
+        memory = GaugeMetricFamily("skugga_process_memory_bytes", "Resident memory.", labels=("process",))
+        memory.add_metric(["service"], resident_bytes())
+        for number, pid in enumerate(sorted(pool.pids)):
+            memory.add_metric([f"render {number}"], resident_bytes(pid))
+        yield memory
+        yield GaugeMetricFamily("skugga_open_descriptors", "File descriptors of the service's process.", open_descriptors())
+        kept = GaugeMetricFamily("skugga_cache_bytes", "What is kept.", labels=("cache",))
+        kept.add_metric(["tiles"], tiles.kept_bytes)
+        kept.add_metric(["blocks"], pool.kept_bytes)
+        kept.add_metric(["films"], self._animations.kept_bytes)
+        yield kept
+        animations = GaugeMetricFamily("skugga_animations", "Animations that there are.", labels=("status",))
+        for status, count in self._animations.counts.items():
+            animations.add_metric([status], count)
+        yield animations
+        ended = CounterMetricFamily("skugga_animations_ended", "Animations by how they ended.", labels=("status",))
+        for status, count in self._animations.ended.items():
+            ended.add_metric([status], count)
+        yield ended
+        asked = CounterMetricFamily("skugga_cache_requests", "Tiles that were asked for.", labels=("cache", "result"))
+        asked.add_metric(["tiles", "hit"], tiles.hits)
+        asked.add_metric(["tiles", "miss"], tiles.misses)
+        yield asked
+
+
+def _names_of(family: Metric) -> Iterator[str]:
+    endings = {"counter": ("_total",), "histogram": ("_bucket", "_sum", "_count")}
+    yield from (family.name + ending for ending in endings.get(family.type, ("",)))

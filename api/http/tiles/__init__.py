@@ -1,0 +1,1 @@
+"""Tiles and maps of any extent, drawn or from archives."""

@@ -1,0 +1,103 @@
+"""Where a map of any extent lies: CRSs by their codes, the order of their axes, extents and sizes that a request may ask for."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError, ProjError
+
+from skugga.api.http.numbers import decimal_in
+from skugga.api.http.state.served_levels import ServedLevel
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.errors import InputError, UnsupportedError
+from skugga.terrain.geo.axes import check_axes
+from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
+from skugga.terrain.scene import MAX_PERSPECTIVE_PX
+
+MapBounds = tuple[float, float, float, float]
+"""West, south, east, north in units of a CRS."""
+
+LONGEST_SIDE_PX = 1024
+"""Of a map whose request names no size."""
+
+CRS_WORDS = "a projected or geographic CRS by its code, as EPSG:3857 or OGC:CRS84"
+
+_CODE = re.compile(r"(EPSG|ESRI|OGC|IGNF):(?::)?[A-Za-z0-9]{1,16}", re.IGNORECASE)
+_URN = re.compile(r"urn:ogc:def:crs:(\w+):[\w.]*:(\w+)", re.IGNORECASE)
+_WMS_CODES = {"CRS:84": "OGC:CRS84", "CRS:83": "OGC:CRS83", "CRS:27": "OGC:CRS27"}
+"""Longitude and latitude as WMS 1.3.0, B.3 to B.5, calls them."""
+
+
+def crs_code(text: str) -> str:
+    """A CRS's code as PROJ reads it: nothing that could name a file. Raises ``InputError``."""
+    urn = _URN.fullmatch(text)
+    code = _WMS_CODES.get(
+        text.upper(), f"{urn[1]}:{urn[2]}" if urn else f"EPSG:{text}" if text.isascii() and text.isdigit() else text
+    )
+    if not _CODE.fullmatch(code):
+        raise InputError("crs", text, CRS_WORDS)
+    return code.upper()
+
+
+@cached("process", MIB, size_of=lambda _: 2**14)
+def crs_of_code(code: str) -> CRS:
+    """The CRS of a code as ``crs_code`` gives it. Raises ``InputError``."""
+    try:
+        crs = CRS.from_user_input(code)
+    except CRSError:
+        raise InputError("crs", code, CRS_WORDS) from None
+    if not (crs.is_projected or crs.is_geographic):
+        raise InputError("crs", code, CRS_WORDS)
+    check_axes("crs", crs)
+    return crs
+
+
+def north_first(crs: CRS) -> bool:
+    """Whether a CRS's first axis is its northing or latitude: WMS 1.3.0 has extents in the order of a CRS's own axes."""
+    name = crs.axis_info[0].name.lower() if crs.axis_info else ""
+    return "northing" in name or "latitude" in name
+
+
+def parse_bounds(text: str, name: str = "bbox", swapped: bool = False) -> MapBounds:
+    """West, south, east, north of four numbers; ``swapped``: of south, west, north, east. Raises ``InputError``."""
+    values = [value for part in text.split(",") if (value := decimal_in(part)) is not None]
+    if len(values) != 4 or text.count(",") != 3:
+        raise InputError(name, text[:100], "four numbers: " + ("south,west,north,east" if swapped else "west,south,east,north"))
+    west, south, east, north = (values[i] for i in ((1, 0, 3, 2) if swapped else (0, 1, 2, 3)))
+    if not (west < east and south < north):
+        raise InputError(name, text[:100], "west < east and south < north, in the order of the CRS's axes")
+    if max(map(abs, values)) > 1e9:
+        raise InputError(name, text[:100], "coordinates below 1e9")
+    return west, south, east, north
+
+
+def bounds_in(level: ServedLevel, crs: CRS) -> MapBounds:
+    """What is looked at of a level, in a CRS. Raises ``InputError`` where the CRS does not hold it, or the world is flat."""
+    if level.bounds is None:
+        raise UnsupportedError("level", level.name, f"{level.world.off_earth}: its maps have no CRS and no bbox")
+    try:
+        west, south, east, north = transformer(LONGITUDE_LATITUDE, crs).transform_bounds(*level.bounds, densify_pts=21)
+    except ProjError:
+        west = south = east = north = np.inf
+    if not (np.isfinite([west, south, east, north]).all() and west < east and south < north):
+        raise InputError("crs", crs.name, "a CRS that covers the level")
+    return west, south, east, north
+
+
+def map_size(width: int | None, height: int | None, aspect: float) -> tuple[int, int]:
+    """(width, height) in pixels of a map that is ``aspect`` times as wide as high; what is not given follows from the other."""
+    if width is None and height is None:
+        width, height = (LONGEST_SIDE_PX, None) if aspect >= 1.0 else (None, LONGEST_SIDE_PX)
+    if width is None:
+        assert height is not None
+        return max(round(height * aspect), 1), height
+    return width, height or max(round(width / aspect), 1)
+
+
+def check_side(name: str, pixels: int) -> int:
+    """A side of a map. Raises ``InputError``."""
+    if not 1 <= pixels <= MAX_PERSPECTIVE_PX:
+        raise InputError(name, pixels, f"pixels, 1 to {MAX_PERSPECTIVE_PX}")
+    return pixels

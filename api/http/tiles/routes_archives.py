@@ -1,0 +1,92 @@
+"""Archives of tiles, served as they are: nothing is drawn."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+from urllib.parse import quote
+
+from fastapi import APIRouter, Depends, Path, Request, Response
+
+from skugga.api.archive_format import ARCHIVED_MEDIA_TYPES
+from skugga.api.errors import ArchiveError, NotServedError
+from skugga.api.http.answers import JSON_MEDIA, OWN_SUN_S, base_url, cache_headers, json_answer, tag_of
+from skugga.api.http.documented import LEVEL_ERRORS, ColumnPath, RowPath, ZoomPath, file_docs, problem_docs
+from skugga.api.http.parameters import allow_only
+from skugga.api.http.state.served_archives import archive_facts
+from skugga.api.http.state.service import TheService
+from skugga.api.http.tiles.archived_tiles import archived_tile, read_tile
+from skugga.api.http.tiles.tilejson import encoding_entry, tilejson_answer
+from skugga.api.layers import LAYERS
+
+router = APIRouter(tags=["archives"], dependencies=[Depends(allow_only())], responses=problem_docs(*LEVEL_ERRORS))
+
+ArchivePath = Annotated[str, Path(description="An archive by its name, as `/archives` lists them.", examples=["shadows"])]
+EndingPath = Annotated[str, Path(description="The format that the archive's tiles have.", examples=["png"])]
+
+
+@router.get(
+    "/archives",
+    summary="The archives of tiles",
+    response_model=list[dict[str, Any]],
+    responses=file_docs("All archives.", [JSON_MEDIA]),
+)
+async def archives(request: Request, service: TheService) -> Response:
+    """Every archive that the service was started with: its name, title, attribution, bounds in degrees, zooms, its tiles' format,
+    and their layer where this service's own command has drawn them.
+    """
+    found = []
+    for name in service.archives.names():
+        try:
+            found.append(archive_facts(name, await service.archives.current(name)))
+        except ArchiveError:  # the log tells
+            continue
+    return json_answer(request, found)
+
+
+@router.get(
+    "/archives/{archive}/tilejson.json",
+    summary="TileJSON of an archive",
+    response_model=dict[str, Any],
+    responses=file_docs("TileJSON.", [JSON_MEDIA]),
+)
+async def archive_tilejson(request: Request, service: TheService, archive: ArchivePath) -> Response:
+    """TileJSON 3.0.0 for map clients. Layers of heights have their `encoding`; `skugga` is what the archive itself says there."""
+    served = await service.archives.current(archive)
+    facts = archive_facts(archive, served)
+    address = f"{base_url(request, service.settings.public_url)}/archives/{quote(archive)}"
+    layer = LAYERS.get(str(facts["layer"]))
+    more = encoding_entry(None if layer is None else layer.encoding)
+    return tilejson_answer(
+        request, facts["title"], facts["attribution"], f"{address}/{{z}}/{{x}}/{{y}}.{served.format}",
+        (facts["minzoom"], facts["maxzoom"]), served.bounds, more | ({"skugga": served.of_skugga} if served.of_skugga else {}),
+    )  # fmt: skip
+
+
+@router.get(
+    "/archives/{archive}/{z}/{x}/{y}.{format}",
+    summary="A tile of an archive",
+    response_class=Response,
+    responses={
+        **file_docs("The tile as it lies in the archive.", ARCHIVED_MEDIA_TYPES.values()),
+        204: {"description": "The archive has no such tile (404 where `SKUGGA_EMPTY_TILE` is so)."},
+    },
+)
+async def archive_tile(
+    request: Request, service: TheService, archive: ArchivePath, z: ZoomPath, x: ColumnPath, y: RowPath, format: EndingPath
+) -> Response:
+    """A tile in Web Mercator, byte by byte as it lies in the archive. Inside of the archive's zooms, a tile that it has not is one
+    without data.
+    """
+    served = await service.archives.current(archive)
+    if format != served.format:
+        raise NotServedError("format", f"The tiles of {archive} are {served.format}.")
+    if z not in served.zooms:
+        raise NotServedError("z", f"{archive} has tiles of zooms {served.zooms[0]} to {served.zooms[-1]}.")
+    if not (0 <= x < 2**z and 0 <= y < 2**z):
+        raise NotServedError("x", f"Zoom {z} has columns and rows 0 to {2**z - 1}.")
+    body = await read_tile(served, z, x, y)
+    if body is None:
+        if service.settings.empty_tile == "404":
+            raise NotServedError("x", f"{archive} has no tile {x}, {y} of zoom {z}.")
+        return Response(status_code=204, headers=cache_headers(tag_of(served.version, z, x, y), OWN_SUN_S))
+    return archived_tile(body, served, OWN_SUN_S).answer(request)

@@ -1,0 +1,80 @@
+"""Maps: any extent of a level as one picture, in any CRS."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from skugga.api.http.documented import LevelPath, for_example
+from skugga.api.http.numbers import PLAIN_WHOLE
+from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, map_query
+from skugga.api.http.state.served_levels import ServedLevel
+from skugga.api.http.state.service import TheService
+from skugga.api.http.tiles.map_extents import bounds_in, check_side, crs_code, crs_of_code, map_size, parse_bounds
+from skugga.api.http.tiles.maps import MapQuery, map_answer
+from skugga.api.http.tiles.tile_docs import JPEG, PICTURE_DOCS
+from skugga.api.layers import MapFormat
+from skugga.terrain.errors import InputError
+
+router = APIRouter(tags=["maps"], responses=PICTURE_DOCS, default_response_class=Response)
+
+
+@router.get(
+    "/levels/{level}/map.{format}",
+    summary="A map of any extent",
+    dependencies=[Depends(allow_only("bbox", "crs", "width", "height", *TILE_PARAMETERS))],
+    openapi_extra=for_example("bbox", "crs", "width"),
+)
+async def map_of_level(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    format: Annotated[MapFormat, Path(description=f"`tif` is georeferenced; JPEG is for {JPEG} alone.", examples=["png"])],
+    wanted: Annotated[TileQuery, Depends(map_query)],
+    bbox: Annotated[
+        str | None,
+        Query(
+            max_length=200,
+            description="west,south,east,north in units of `crs`; default: the level's.",
+            examples=["8.38,47.48,8.49,47.55"],
+        ),
+    ] = None,
+    crs: Annotated[
+        str | None, Query(max_length=60, description="As EPSG:3857; default: that of the level's own maps.", examples=["OGC:CRS84"])
+    ] = None,
+    width: Annotated[
+        int | None, PLAIN_WHOLE, Query(description="Pixels; default: by the height, else 1024 for the longer side.", examples=[256])
+    ] = None,
+    height: Annotated[int | None, PLAIN_WHOLE, Query(description="Pixels; default: by the width.", examples=[256])] = None,
+) -> Response:
+    """A map of an extent, always with x (or longitude) first; off the data it is transparent, or has no values."""
+    served = await service.level(level)
+    sides = {name: check_side(name, value) for name, value in (("width", width), ("height", height)) if value is not None}
+    if served.world.off_earth is not None:
+        asked = _off_the_earth(served, bbox, crs, sides, wanted, format)
+    else:
+        asked = await run_in_threadpool(_on_earth, served, bbox, crs, sides, wanted, format)
+    return await map_answer(request, service, served, asked)
+
+
+def _on_earth(
+    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], wanted: TileQuery, format: MapFormat
+) -> MapQuery:
+    code = level.map_crs.to_string() if crs is None else crs_code(crs)
+    in_crs = level.map_crs if crs is None else crs_of_code(code)
+    bounds = bounds_in(level, in_crs) if bbox is None else parse_bounds(bbox)
+    west, south, east, north = bounds
+    size = map_size(sides.get("width"), sides.get("height"), (east - west) / (north - south))
+    return MapQuery(bounds, code, size, wanted, format)
+
+
+def _off_the_earth(
+    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], wanted: TileQuery, format: MapFormat
+) -> MapQuery:
+    for name, value in (("bbox", bbox), ("crs", crs)):
+        if value is not None:
+            raise InputError(name, value, f"nothing: {level.world.off_earth}, and its map is the whole level")
+    own = level.view_sizes["map"] or (1, 1)
+    return MapQuery(None, None, map_size(sides.get("width"), sides.get("height"), own[0] / own[1]), wanted, format)

@@ -1,0 +1,61 @@
+"""Tiles."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Path, Request, Response
+
+from skugga.api.http.documented import ColumnPath, LevelPath, MatrixSetPath, RowPath, ZoomPath
+from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
+from skugga.api.http.state.service import TheService
+from skugga.api.http.tiles.tile_answers import tile_answer
+from skugga.api.http.tiles.tile_docs import EMPTY_DOCS, EXACT, JPEG, PICTURE_DOCS
+from skugga.api.layers import MapFormat
+
+router = APIRouter(
+    tags=["tiles"],
+    dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
+    responses=PICTURE_DOCS | EMPTY_DOCS,
+    default_response_class=Response,
+)
+
+FormatPath = Annotated[
+    MapFormat,
+    Path(
+        description=f"WebP is lossless for {EXACT}; JPEG is for {JPEG} alone; `tif` is georeferenced, `npy` an array.",
+        examples=["png"],
+    ),
+]
+
+
+@router.get("/levels/{level}/tiles/{tms}/{z}/{x}/{y}@2x.{format}", summary="A tile of 512 x 512 pixels")
+async def double_tile(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    tms: MatrixSetPath,
+    z: ZoomPath,
+    x: ColumnPath,
+    y: RowPath,
+    format: FormatPath,
+    wanted: Annotated[TileQuery, Depends(tile_query)],
+) -> Response:
+    """The four tiles of the next zoom that cover the tile, for dense screens."""
+    return await tile_answer(request, service, level, tms, (z, x, y), 2, format, wanted)
+
+
+@router.get("/levels/{level}/tiles/{tms}/{z}/{x}/{y}.{format}", summary="A tile of 256 x 256 pixels")
+async def tile(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    tms: MatrixSetPath,
+    z: ZoomPath,
+    x: ColumnPath,
+    y: RowPath,
+    format: FormatPath,
+    wanted: Annotated[TileQuery, Depends(tile_query)],
+) -> Response:
+    """A tile of a level. Off its data, but inside its zooms, it is transparent (a setting makes it 204 or 404)."""
+    return await tile_answer(request, service, level, tms, (z, x, y), 1, format, wanted)

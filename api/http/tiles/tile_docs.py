@@ -1,0 +1,22 @@
+"""What the documentation says of tiles, maps and snapshots."""
+
+from __future__ import annotations
+
+from skugga.api.http.documented import WORK_ERRORS, Answers, file_docs, problem_docs
+from skugga.api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES
+from skugga.selector.formatting import format_list
+
+PICTURE_DOCS: Answers = {
+    **file_docs(
+        "The picture. `X-Skugga-Caster-Reach` says how far towards the sun casters were looked for.", MAP_MEDIA_TYPES.values()
+    ),
+    **problem_docs(*WORK_ERRORS),
+}
+
+EMPTY_DOCS: Answers = {204: {"description": "No data there, where `SKUGGA_EMPTY_TILE` is 204."}}
+
+EXACT = format_list([f"`{name}`" for name in MAP_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
+"""Layers to compute with, in words."""
+
+JPEG = format_list([f"`{name}`" for name in MAP_LAYERS if "jpg" in LAYERS[name].formats], most=len(LAYERS))
+"""Layers that there are as JPEG, in words."""

@@ -1,0 +1,1 @@
+"""Pictures of views: snapshots, and animations as jobs."""

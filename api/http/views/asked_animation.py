@@ -1,0 +1,160 @@
+"""What a client asks of an animation, in the body of its request, and the order that this is."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from importlib.util import find_spec
+from typing import Annotated, Any
+
+from pydantic import Field, create_model
+
+from skugga.api.animations.film_order import FilmFormat, FilmOrder
+from skugga.api.film_span import USUAL_FPS, film_span
+from skugga.api.http.parameters import served_settings, style_named
+from skugga.api.http.state.served_levels import ServedLevel
+from skugga.api.http.views.cameras import FURTHEST_UP_M, POSITION_WORDS
+from skugga.api.settings import Settings
+from skugga.api.workers.jobs import PictureRequest
+from skugga.selector.film_request import ALONG_PATH, FilmSpan
+from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.geo.sun_path import as_utc, check_times
+from skugga.terrain.level.camera_file import CameraPathSpec
+from skugga.terrain.level.level import Shadows, parse_sun
+from skugga.terrain.level.model import Model
+from skugga.terrain.level.parts import SlopeExaggeration, SunSpec
+from skugga.terrain.level.setting import settings_of
+from skugga.terrain.scene import MAX_PERSPECTIVE_PX
+
+MOST_TEXT = 60
+"""Characters of a time or of a length of time."""
+
+FrameSide = Annotated[int, Field(ge=1, le=MAX_PERSPECTIVE_PX, strict=True)]
+Text = Annotated[str, Field(max_length=MOST_TEXT)]
+
+
+_WHEN = Field(
+    default=None, examples=["2024-10-21T08:00:00-04:00"],
+    description="The first frame's time, ISO 8601 with an offset: the sun moves. Or a reading of the level's clock, as 0s: "
+    "what has a motion moves, and the sun rests. Default: as the path has it.",
+)  # fmt: skip
+_FROM: dict[str, Any] = {"from": (Text | None, _WHEN)}  # a word that no field of a class can have
+_Named: Any = create_model("_Named", __base__=Model, **_FROM)
+
+
+class _Asked(_Named):
+    to: Text | None = Field(default=None, examples=["2024-10-21T18:00:00-04:00"], description="The last frame's time, likewise.")
+    step: Text | None = Field(
+        default=None, examples=["10m"],
+        description="From frame to frame: a number and s, m, h or d. Default, for readings of the clock: what `fps` has.",
+    )  # fmt: skip
+    view: str | None = Field(
+        default=None, max_length=100, examples=["ridge"], description="A view of the level; default: `map`, else its first one."
+    )
+    path: CameraPathSpec | None = Field(default=None, description="Instead of `view`, a camera that moves, as in a camera file.")
+    size: tuple[FrameSide, FrameSide] | None = Field(
+        default=None, examples=[[640, 480]], description="Width and height in pixels; default: those of the view or the path."
+    )
+    seconds: float | None = Field(
+        default=None, ge=-1e9, le=1e9, strict=True, examples=[0],
+        description="What the clock of moving casters shows in the first frame, where `from` is a date; default: the level's.",
+    )  # fmt: skip
+    format: FilmFormat = Field(default="webp", description="`webp` loses nothing; `mp4` is far smaller, if the service makes it.")
+    fps: float = Field(default=USUAL_FPS, strict=True, examples=[10], description="Frames a second of the film, 0.1 to 120.")
+    time: Text | None = Field(default=None, description="Of a sun that rests, ISO 8601 with an offset; default: the level's.")
+    azimuth: float | None = Field(
+        default=None, strict=True, examples=[235], description="With `altitude`, of a sun that rests: degrees from true north."
+    )
+    altitude: float | None = Field(default=None, strict=True, examples=[22], description="Apparent degrees above the horizon.")
+    style: str | None = Field(default=None, max_length=100, examples=["swiss"], description="How relief is shaded.")
+    slope_exaggeration: SlopeExaggeration | None = Field(
+        default=None, strict=True, examples=[2], description="Factor of slopes in shading, for flat country."
+    )
+
+
+_SETTINGS = settings_of(Shadows, "pictures")
+
+_OF_SHADOWS: dict[str, Any] = {
+    each.name: (each.type | None, Field(default=None, description=each.about, examples=[each.example])) for each in _SETTINGS
+}
+
+AskedAnimation: Any = create_model(
+    "AskedAnimation",
+    __base__=_Asked,
+    __doc__="An animation: when it plays, what it shows, and what is asked of its shadows.",
+    **_OF_SHADOWS,
+)
+"""The body, with the settings of shadows as its last fields."""
+
+
+def order_of(asked: Any, level: ServedLevel, settings: Settings) -> FilmOrder:
+    """The order of an ``AskedAnimation``, found right as far as that is known without the level's ground. Raises ``InputError``."""
+    if asked.format == "mp4" and find_spec("av") is None:
+        raise InputError("format", asked.format, "webp: this service has no encoder of mp4")
+    if asked.path is not None:
+        if asked.view is not None:
+            raise InputError("view", asked.view, "nothing beside path, which is a view of its own")
+        _check_positions(asked.path)
+    span = film_span(
+        getattr(asked, "from"), asked.to, asked.step, asked.fps, asked.path, asked.seconds, settings.max_animation_frames
+    )
+    view = ALONG_PATH if asked.path is not None else level.view_named(asked.view)
+    own_size = asked.path.size if asked.path is not None else level.view_sizes[view]
+    if (size := asked.size or own_size) is not None:
+        _check_pixels(size, span.frames, settings)
+    request = PictureRequest(
+        sun=_resting_sun(asked, span),
+        style=style_named(asked.style),
+        slope_exaggeration=asked.slope_exaggeration,
+        overrides=served_settings({each.name: getattr(asked, each.name) for each in _SETTINGS}),
+    )
+    return FilmOrder(
+        level=level.key, level_name=level.name, span=span, view=view, path=asked.path, size=asked.size, request=request,
+        format=asked.format, fps=asked.fps,
+    )  # fmt: skip
+
+
+def in_body(error: InputError, order: FilmOrder) -> InputError:
+    """What is wrong with a film, by its key of the body: the engine names what a film has, a camera's file and the frame."""
+    name, colon, of_frame = error.name.partition(": ")
+    if name.startswith("keys"):
+        return type(error)(f"path.{error.name}", error.value, error.allowed)
+    if name.startswith("path, "):
+        return type(error)("path", Fault(f"{name.removeprefix('path, ')}{colon}{of_frame}: {error.value}"), error.allowed)
+    if name == "time" and order.span.start is not None:
+        return type(error)("from", error.value, error.allowed)
+    return error
+
+
+def _check_positions(path: CameraPathSpec) -> None:
+    for number, key in enumerate(path.keys):
+        for name, position in (("eye", key.eye), ("target", key.target)):
+            if max(map(abs, position[:2])) > 1e9 or abs(position[2]) > FURTHEST_UP_M:
+                raise InputError(f"path.keys.{number}.{name}", list(position), POSITION_WORDS)
+
+
+def _check_pixels(size: tuple[int, int], frames: int, settings: Settings) -> None:
+    pixels, words = size[0] * size[1], f"{size[0]}x{size[1]}"
+    if pixels > settings.max_animation_frame_pixels:
+        allowed = f"at most {settings.max_animation_frame_pixels} pixels a frame (the service's SKUGGA_MAX_ANIMATION_FRAME_PIXELS)"
+        raise InputError("size", words, allowed)
+    if frames * pixels > settings.max_animation_pixels:
+        allowed = f"at most {settings.max_animation_pixels} pixels in all (the service's SKUGGA_MAX_ANIMATION_PIXELS)"
+        raise InputError("size", Fault(f"{frames} frames of {words}"), allowed)
+
+
+def _resting_sun(asked: Any, span: FilmSpan) -> SunSpec | None:
+    """The sun of a film without dates. Raises ``InputError``."""
+    sun = parse_sun(asked.time, asked.azimuth, asked.altitude)
+    if span.start is None:
+        if sun is not None and sun.time is not None:
+            check_times(as_utc([sun.time]))
+        return sun
+    for name in ("time", "azimuth", "altitude"):
+        if getattr(asked, name) is not None:
+            raise InputError(name, getattr(asked, name), "nothing beside dates in from and to, which say where the sun is")
+    for name, moment in (("from", span.start), ("to", span.start + timedelta(seconds=span.length_s))):
+        try:
+            check_times(as_utc([moment]))
+        except InputError as error:
+            raise InputError(name, error.value, error.allowed) from None
+    return None

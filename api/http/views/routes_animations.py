@@ -1,0 +1,121 @@
+"""Animations: asked for, looked after and fetched. They are jobs, for a film takes longer than a request may."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Body, Depends, Path, Request, Response
+
+from skugga.api.animations.animation import Animation
+from skugga.api.http.answers import base_url
+from skugga.api.http.documented import WORK_ERRORS, Answers, LevelPath, file_docs, problem_docs
+from skugga.api.http.parameters import allow_only
+from skugga.api.http.state.service import Service, TheService
+from skugga.api.http.views.animation_states import FILM_MEDIA, AnimationState, film_answer, state_answer, state_of
+from skugga.api.http.views.asked_animation import AskedAnimation, in_body, order_of
+from skugga.api.workers.jobs import FilmChecked, FilmCheckJob
+from skugga.terrain.errors import InputError
+
+router = APIRouter(tags=["animations"])
+
+EXAMPLE: dict[str, Any] = {
+    "from": "2024-10-21T15:00:00-04:00", "to": "2024-10-21T17:00:00-04:00", "step": "1h", "size": [64, 48], "fps": 2,
+}  # fmt: skip
+"""An example of what a client may send."""
+
+EXAMPLE_ID = "6f1c2a7e0d9b4c53a8e1f0d2b3c4a596"
+
+RESULT_ERRORS = 404, 409, 422, 500, 503, 504, 507
+"""Statuses of a film that could not be made, which are those of its result."""
+
+AnimationPath = Annotated[
+    str, Path(max_length=100, description="An animation by its `jobID`, which nobody guesses.", examples=[EXAMPLE_ID])
+]
+
+STATE: Answers = {200: {"description": "Its state.", "model": AnimationState}}
+
+
+@router.post(
+    "/levels/{level}/animations",
+    summary="Ask for an animation",
+    status_code=202,
+    response_model=AnimationState,
+    responses=problem_docs(*WORK_ERRORS, 413)
+    | {
+        200: {"description": "The same was asked for before, and its film is there.", "model": AnimationState},
+        202: {"description": "It is drawn, or waits for its turn. `Location` is its address.", "model": AnimationState},
+    },
+    dependencies=[Depends(allow_only())],
+)
+async def ask_for_animation(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    asked: Annotated[AskedAnimation, Body(description="When it plays and what it shows.", examples=[EXAMPLE])],
+) -> Response:
+    """A film of a level under a sun that moves, seen by a camera that moves, or both. All its frames are looked at before it is
+    accepted; then they are drawn one by one, behind everything else that is asked for.
+
+    Ask for its state at `Location`: one that nobody asks about is given up. The same request has the same animation while that
+    is drawn, or its film is kept.
+    """
+    served = await service.level(level)
+    order = order_of(asked, served, service.settings)
+    animation = service.animations.known(order)
+    if animation is None:
+        service.animations.check_room()
+        check = FilmCheckJob(**{name: getattr(order, name) for name in FilmCheckJob.model_fields})
+        try:
+            checked = await service.done(request, check)
+        except InputError as error:
+            raise in_body(error, order) from None
+        assert isinstance(checked, FilmChecked)
+        animation = service.animations.ask(order, service.frame_s(order, checked))
+    return _told(request, service, animation, 200 if animation.ended else 202)
+
+
+@router.get(
+    "/animations/{animation}",
+    summary="How far an animation is",
+    response_model=AnimationState,
+    responses=STATE | problem_docs(404),
+    dependencies=[Depends(allow_only())],
+)
+async def animation_state(request: Request, service: TheService, animation: AnimationPath) -> Response:
+    """`accepted`, `running`, `successful`, `failed` or `dismissed`; how many frames are drawn, and how long it is expected to take
+    yet. `Retry-After` says when to ask again.
+    """
+    return _told(request, service, service.animations.get(animation))
+
+
+@router.get(
+    "/animations/{animation}/result",
+    summary="The film of an animation",
+    response_class=Response,
+    responses=problem_docs(*RESULT_ERRORS)
+    | file_docs("The film.", FILM_MEDIA.values())
+    | {206: {"description": "The part of it that `Range` asks for.", "content": {each: {} for each in FILM_MEDIA.values()}}},
+    dependencies=[Depends(allow_only())],
+)
+async def animation_result(request: Request, service: TheService, animation: AnimationPath) -> Response:
+    """The whole film, or a part of it by `Range`. Before it is there: 409, with `Retry-After`; where it failed: why."""
+    return film_answer(request, service.animations.get(animation), service.animations, service.settings)
+
+
+@router.delete(
+    "/animations/{animation}",
+    summary="Dismiss an animation",
+    response_model=AnimationState,
+    responses=STATE | problem_docs(404),
+    dependencies=[Depends(allow_only())],
+)
+async def dismiss_animation(request: Request, service: TheService, animation: AnimationPath) -> Response:
+    """Stop drawing it, and forget its film."""
+    found = service.animations.get(animation)
+    service.animations.dismiss(found, "A client dismissed it.")
+    return _told(request, service, found)
+
+
+def _told(request: Request, service: Service, animation: Animation, status: int = 200) -> Response:
+    address = f"{base_url(request, service.settings.public_url)}/animations/{animation.id}"
+    return state_answer(status, state_of(animation, service.animations, address), service.settings)

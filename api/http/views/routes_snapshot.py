@@ -1,0 +1,110 @@
+"""Snapshots: a level's view as one picture."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
+
+from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
+from skugga.api.http.documented import LevelPath, file_docs, for_example
+from skugga.api.http.moments import time_headers
+from skugga.api.http.numbers import PLAIN_DECIMAL
+from skugga.api.http.parameters import (
+    PICTURE_PARAMETERS,
+    LayerQuery,
+    ViewQuery,
+    allow_only,
+    check_pixels,
+    parse_size,
+    picture_query,
+)
+from skugga.api.http.state.service import TheService
+from skugga.api.http.tiles.tile_docs import JPEG, PICTURE_DOCS
+from skugga.api.http.views.cameras import CAMERA_PARAMETERS, camera_query
+from skugga.api.layers import LAYERS, MEDIA_TYPES, VIEW_LAYERS, PictureFormat, view_formats
+from skugga.api.workers.jobs import PictureRequest, Snapshot, SnapshotJob
+from skugga.selector.formatting import format_list
+from skugga.terrain.errors import InputError
+from skugga.terrain.level.parts import PerspectiveSpec
+
+router = APIRouter(
+    tags=["snapshots"], responses=PICTURE_DOCS | file_docs("The picture.", MEDIA_TYPES.values()), default_response_class=Response
+)
+
+MADE_VIEW = "made"
+"""What a view that a request makes is called in its plan."""
+
+OF_ONE_LIGHT = format_list([f"`{name}`" for name in VIEW_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
+"""Layers that show the shadow of one light, in words."""
+
+
+@router.get(
+    "/levels/{level}/snapshot.{format}",
+    summary="A view of a level",
+    dependencies=[Depends(allow_only("view", *CAMERA_PARAMETERS, "size", "layer", "light", "seconds", *PICTURE_PARAMETERS))],
+    openapi_extra=for_example("size"),
+)
+async def snapshot(
+    request: Request,
+    service: TheService,
+    level: LevelPath,
+    format: Annotated[PictureFormat, Path(description=f"PNG and WebP are lossless; JPEG is for {JPEG} alone.", examples=["png"])],
+    wanted: Annotated[PictureRequest, Depends(picture_query)],
+    seen_from: Annotated[PerspectiveSpec | None, Depends(camera_query)],
+    view: ViewQuery = None,
+    size: Annotated[
+        str | None, Query(max_length=20, description="WxH in pixels; default: the view's own.", examples=["256x256"])
+    ] = None,
+    layer: LayerQuery = "color",
+    light: Annotated[
+        str | None,
+        Query(
+            max_length=100, description=f"The light that {OF_ONE_LIGHT} show; default: the sun, else the first.", examples=["sun"]
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        PLAIN_DECIMAL,
+        Query(
+            ge=-1e9,
+            le=1e9,
+            allow_inf_nan=False,
+            description="Clock of casters, lamps and clouds that move; default: the level's.",
+            examples=[0],
+        ),
+    ] = None,
+) -> Response:
+    """A map or perspective view as the level has it, but for what the query asks; or one that the query itself makes, of an `eye`
+    and a `target`: as a view of a level file they are lists, `eye: [8.43, 47.5, 300]`.
+    """
+    served = await service.level(level)
+    if format not in view_formats(layer):
+        raise InputError("format", format, f"{', '.join(view_formats(layer))} for layer {layer}")
+    if seen_from is not None and view is not None:
+        raise InputError("view", view, "nothing beside eye and target, which are a view of their own")
+    name = MADE_VIEW if seen_from is not None else served.view_named(view)
+    given_size = None if size is None else parse_size(size)
+    pixels = given_size or (served.view_sizes[name] if seen_from is None else seen_from.size)
+    if pixels is not None:
+        check_pixels(pixels, service.settings.max_snapshot_pixels)
+    lights = served.lights(wanted.sun)
+    if light is not None and light not in lights:
+        raise InputError("light", light, ", ".join(lights))
+    job = SnapshotJob(
+        level=served.key, view=name, seen_from=seen_from, layer=layer, format=format, size=given_size,
+        light=None if LAYERS[layer].to_look_at else light, seconds=seconds, request=wanted,
+    )  # fmt: skip
+
+    tag_parts = (served.version, level, "snapshot", job.model_dump(exclude={"level"}, exclude_none=True))
+    fresh_s = service.fresh_s(request, OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S)
+    of_time = time_headers(request)
+    headers = cache_headers(tag_of(service.pool.renderer, service.pool.plan_version(served.key), *tag_parts), fresh_s) | of_time
+    if is_fresh(request, headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    kept = service.pool.finished(job) is not None
+    drawn = await service.done(request, job)
+    assert isinstance(drawn, Snapshot)
+    headers = cache_headers(tag_of(drawn.renderer, drawn.plan_version, *tag_parts), fresh_s) | of_time
+    headers |= drawn_headers(drawn, "snapshot", kept, drawn.encode_ms)
+    return Response(drawn.body, headers=headers, media_type=MEDIA_TYPES[format])
