@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from skugga.api.http.ogc import routes_wms
 from skugga.api.http.server.app import create_app
-from skugga.api.http.state import level_checks, routes_wms
+from skugga.api.http.state import level_checks
 from skugga.api.http.state.level_checks import LevelCheck
 from skugga.api.settings import Settings
 from skugga.terrain.errors import LevelError

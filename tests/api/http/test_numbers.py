@@ -13,18 +13,14 @@ from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute
 from pydantic import BeforeValidator
 
+from skugga.api.http.levels import routes_levels, routes_plan
 from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD, WholeNumber
 from skugga.api.http.parameters import AzimuthQuery
-from skugga.api.http.server import (
-    routes_health,
-    routes_levels,
-    routes_map,
-    routes_plan,
-    routes_point,
-    routes_snapshot,
-    routes_tiles,
-)
+from skugga.api.http.points import routes_point
+from skugga.api.http.server import routes_health
 from skugga.api.http.server.problem_handlers import install_problem_handlers
+from skugga.api.http.tiles import routes_map, routes_tiles
+from skugga.api.http.views import routes_snapshot
 
 MODULES = routes_health, routes_levels, routes_map, routes_plan, routes_point, routes_snapshot, routes_tiles
 ROUTERS = [module.router for module in MODULES]
