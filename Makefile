@@ -15,13 +15,14 @@ NPM := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" npm --loglevel=error --no-audit --no-
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test test-long test-browser test-clients test-soak test-lowest lock hunt check notebook wheel viewer viewer-if-possible chromium qgis nginx clean
+.PHONY: help setup run test test-long test-thorough test-browser test-clients test-soak test-lowest lock hunt check notebook wheel viewer viewer-if-possible chromium qgis nginx clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make run           set up what is missing, then serve the bundled levels and the viewer (ARGS='--port 8001')"
 	@echo "make test          the tests that take seconds (ARGS='tests/terrain -x')"
 	@echo "make test-long     the tests that take minutes"
+	@echo "make test-thorough all hard cases at length by all algorithms, an hour"
 	@echo "make test-browser  the viewer and map clients in Chromium, which is installed where it is missing"
 	@echo "make test-clients  QGIS, GDAL's tools and nginx before a service; they are installed where they are missing"
 	@echo "make test-soak     a service under load and faults, with figures (SOAK_SECONDS=60)"
@@ -42,11 +43,15 @@ run: setup viewer-if-possible
 # Two processes (OpenGL has one thread in each), whole files to each: fixtures of a file are made once.
 # On a build server a viewer that does not build is a failure; elsewhere the tests run without it.
 test: setup $(if $(CI),viewer,viewer-if-possible)
-	$(PYTEST) -n 2 --dist loadfile -m "not long and not browser and not clients and not soak" $(ARGS)
+	$(PYTEST) -n 2 --dist loadfile -m "not long and not thorough and not browser and not clients and not soak" $(ARGS)
 
 # The same two processes; files in the order of their names, but for the mutants, which go last.
 test-long: setup
 	$(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder -m "long and not browser" $(ARGS)
+
+# The hard cases by all algorithms, at length: for whoever changes one of these, and before docs/hard-cases.md is written anew.
+test-thorough: setup
+	$(PYTEST) -n 2 --dist loadfile -m thorough $(or $(ARGS),tests/hard_cases)
 
 # Without the viewer and the map clients there is nothing to test: here they have to be had.
 test-browser: setup viewer $(MAP_CLIENTS) chromium
@@ -68,7 +73,7 @@ test-lowest: $(SYSTEM)
 	@PYTHON=python3.11 scripts/make-venv.sh $(LOWEST)
 	@$(LOWEST)/bin/python -m pip install -qq uv
 	@$(LOWEST)/bin/uv pip install -q --python $(LOWEST)/bin/python --resolution lowest-direct -e '.[test]'
-	$(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -W default -m "not long and not browser and not soak" $(or $(ARGS),$(QUICK))
+	$(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -W default -m "not long and not thorough and not browser and not soak" $(or $(ARGS),$(QUICK))
 
 # For every Python and system that is allowed; without addresses, so that it serves whatever registry is asked.
 lock: $(INSTALLED)

@@ -2,7 +2,7 @@
 
 A case is a function of a ``Trial``: it makes its level, has an algorithm fill the visibility of what it looks at, and returns
 the figures that its bounds are for. ``hard_case`` registers it and turns it into tests, one for each algorithm: a quick one on
-small pictures, and a thorough one among the long tests. What an algorithm cannot serve must be refused, in the very words of
+small pictures, and a thorough one. What an algorithm cannot serve must be refused, in the very words of
 its capabilities: that is recorded as a refusal. Every figure goes into the table at the end of a run.
 """
 
@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -246,16 +247,21 @@ def hard_case(
 ) -> Callable[[Measure], Callable[..., None]]:
     """Register a case and make tests of its function; the case itself is the test's attribute ``case``.
 
-    With ``thorough`` false there is no long test: the quick one is all there is to do. ``falls_short`` has by algorithm and figure
+    Each algorithm has a quick run and a thorough one. All thorough runs take more than half an hour: one of each case, of an
+    algorithm that its id decides, is among the long tests, and all of them are marked ``thorough``. With ``thorough`` false there
+    is none: the quick one is all there is to do. ``falls_short`` has by algorithm and figure
     what is known to lie above its bound, as it was measured: such a trial is an expected failure, and a failure if it gets worse.
     """
 
     def register(measure: Measure) -> Callable[..., None]:
         case = Case(id, title, set_up, bounds, measure)
-        ways = ["quick", *([pytest.param("thorough", marks=pytest.mark.long)] if thorough else [])]
+        among_long = algorithms[crc32(id.encode()) % len(algorithms)]
+        ways = [("quick", algorithm) for algorithm in algorithms]
+        if thorough:
+            marks = {algorithm: [pytest.mark.thorough] + [pytest.mark.long] * (algorithm == among_long) for algorithm in algorithms}
+            ways += [pytest.param("thorough", algorithm, marks=marks[algorithm]) for algorithm in algorithms]
 
-        @pytest.mark.parametrize("algorithm", algorithms)
-        @pytest.mark.parametrize("way", ways)
+        @pytest.mark.parametrize(("way", "algorithm"), ways)
         def test(algorithm: str, way: str, gl: Any, tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
             record = case.run(algorithm, way == "thorough", tmp_path)
             record_property(RECORD, json.dumps(record))

@@ -1,6 +1,6 @@
 """The table at the end of a run: hard case by algorithm, the measured figure beside its bound.
 
-``pytest -m long tests/hard_cases --hard-cases-table docs/hard-cases.md`` puts it into the document, between its two marks.
+``pytest -m thorough tests/hard_cases --hard-cases-table docs/hard-cases.md`` puts it into the document, between its two marks.
 """
 
 from __future__ import annotations
