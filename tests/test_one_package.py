@@ -79,7 +79,7 @@ def test_a_bare_import_is_told_by_the_linter(line: str):
 
 
 PLANTED = {
-    "a floor above": (
+    "a layer above": (
         "terrain/errors.py",
         "from skugga.selector.formatting import *",
         "skugga.terrain is not allowed to import skugga.selector",

@@ -247,7 +247,7 @@ def hard_case(
 ) -> Callable[[Measure], Callable[..., None]]:
     """Register a case and make tests of its function; the case itself is the test's attribute ``case``.
 
-    Each algorithm has a quick run and a thorough one. All thorough runs take more than half an hour: one of each case, of an
+    Each algorithm has a quick run and a thorough one. All thorough runs take too long for a build: one of each case, of an
     algorithm that its id decides, is among the long tests, and all of them are marked ``thorough``. With ``thorough`` false there
     is none: the quick one is all there is to do. ``falls_short`` has by algorithm and figure
     what is known to lie above its bound, as it was measured: such a trial is an expected failure, and a failure if it gets worse.
