@@ -74,4 +74,4 @@ def _table(colormap: str) -> np.ndarray:
     """The 256 colours (256, 4) uint8 of a map."""
     from matplotlib import colormaps
 
-    return (colormaps[colormap](np.arange(256)) * 255.0 + 0.5).astype(np.uint8)
+    return (colormaps[colormap](np.linspace(0.0, 1.0, 256)) * 255.0 + 0.5).astype(np.uint8)

@@ -31,10 +31,12 @@ from morecantile import tms as matrix_sets
 from pyproj import CRS
 
 from benchmarks.big_rasters import EPSG, MIDDLE_XY, make_rasters, mountain_xy, paths_in
+from skugga.api.compute import write_rasters
 from skugga.api.matrices import zoom_range
 from skugga.api.overviews import make_overviews, missing_overviews
-from skugga.api.shade import raster_view, write_shade
-from skugga.api.workers.jobs import BlockJob, LevelKey, PictureRequest, Tiles
+from skugga.api.raster_view import raster_view
+from skugga.api.request import ProductRequest
+from skugga.api.workers.jobs import BlockJob, LevelKey, Tiles
 from skugga.api.workers.render_worker import run_job
 from skugga.api.workers.warm_up import warm_up
 from skugga.api.workers.worker_state import WorkerState, tiles_view
@@ -88,7 +90,7 @@ def block_job(scene: Scene, raster: Path, zoom: int, down: int = 0, right: int =
     """The block at the middle of a level, or so many further on."""
     view = tiles_view(scene, Tiles(matrix_set=MERCATOR_SET, zoom=zoom))
     row, col = int(view.row0) // BLOCK_PX + down, int(view.col0) // BLOCK_PX + right
-    request = PictureRequest(sun=SUN)
+    request = ProductRequest(sun=SUN)
     return BlockJob(level=key_of(raster), matrix_set=MERCATOR_SET, zoom=zoom, block_x=col, block_y=row, tiles=4, request=request)
 
 
@@ -165,8 +167,9 @@ def shaded(raster: Path, side_km: float) -> dict[str, float]:
     blocks = len(blocks_of(view.view))
     opened_s = time.perf_counter() - start
     with tempfile.TemporaryDirectory() as folder:
+        masks, path = [ProductRequest(product="mask")], Path(folder) / "mask.tif"
         start, times = time.perf_counter(), []
-        write_shade(scene, view, "mask", [None], [Path(folder) / "mask.tif"], {}, lambda *_: times.append(time.process_time()))
+        write_rasters(scene, view, masks, [path], {}, lambda *_: times.append(time.process_time()))
         written_s = time.perf_counter() - start
     every = np.diff(times[1:])
     return {

@@ -17,16 +17,18 @@ from pathlib import Path
 from morecantile import tms as matrix_sets
 
 from skugga.api.catalogue import find_level
+from skugga.api.compute import draw_picture
 from skugga.api.matrices import ZoomRange
-from skugga.api.seed.messages import Task
+from skugga.api.request import ProductRequest
+from skugga.api.seed.messages import LEAST_LIMIT_S, Task
 from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
 from skugga.api.seed.run_spec import MATRIX_SET
 from skugga.api.seed.running import task_of
 from skugga.api.seed.task_table import TaskTable
-from skugga.api.workers.block_tiles import BLOCK_TILES, encoded_part
-from skugga.api.workers.drawn_blocks import block_of_grid, drawn_block
+from skugga.api.workers.block_tiles import tiles_of_picture
+from skugga.api.workers.block_views import block_of_grid
 from skugga.terrain.cache import clear_caches
-from skugga.terrain.geo.grid import TILE_PX, tile_grid
+from skugga.terrain.geo.grid import tile_grid
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.scene import Scene, build_scene
@@ -34,20 +36,16 @@ from skugga.terrain.scene import Scene, build_scene
 TILES, CPU, ENCODING = "tiles", "CPU of the block", "encoding"
 
 
-def drawn(scene: Scene, run: PlannedRun, task: Task, layer: str) -> Counter[str]:
+def drawn(scene: Scene, run: PlannedRun, task: Task) -> Counter[str]:
     """Draw a task's block: milliseconds by passes, of encoding and in all (CPU), and how many tiles show data."""
-    view = block_of_grid(tile_grid(matrix_sets.get(MATRIX_SET), task.zoom), task.x, task.y)
+    view, request = block_of_grid(tile_grid(matrix_sets.get(MATRIX_SET), task.zoom), task.x, task.y), run.spec.request(task.sun)
     begin = time.process_time()
-    block, shown = drawn_block(scene, view, run.spec.plan_by_place[task.sun, task.zoom], layer)
-    encode, tiles = time.process_time(), 0
-    for row in range(BLOCK_TILES):
-        for col in range(BLOCK_TILES):
-            part = block.part(row * TILE_PX, col * TILE_PX, TILE_PX)
-            if part.there.any():
-                encoded_part(part, layer, "png")
-                tiles += 1
+    picture = draw_picture(scene, view, request.record, run.spec.plan_by_place[task.sun, task.zoom])
+    encode = time.process_time()
+    files = tiles_of_picture(picture, request, scene, view, "png")
     end = time.process_time()
-    spent = Counter({record.name: record.ms for record in shown.passes})
+    spent = Counter({record.name: record.ms for record in picture.passes})
+    tiles = sum(body is not None for body in files.values())
     spent.update({ENCODING: (end - encode) * 1e3, CPU: (end - begin) * 1e3, TILES: tiles})
     return spent
 
@@ -64,15 +62,15 @@ def main() -> None:
     source = LevelSource(path=Path(find_level(args.level)).resolve())
     with tempfile.TemporaryDirectory() as folder:
         table = TaskTable(Path(folder) / "tasks.sqlite")
-        request = SeedRequest(source, ZoomRange(args.zoom, args.zoom), (None,), args.layer, "png")
+        request = SeedRequest(source, ZoomRange(args.zoom, args.zoom), (None,), ProductRequest(product=args.layer), "png")
         run = plan_run(table, request, lambda _: None)
-        tasks = [task_of(table, run, number) for number in table.waiting()[: args.blocks]]
+        tasks = [task_of(table, run, number, LEAST_LIMIT_S) for number in table.waiting()[: args.blocks]]
     scene = build_scene(load_level(run.spec.level)).with_sun(run.spec.suns[0])
     rounds = []
     for _ in range(args.rounds):
         clear_caches("light", "scene")
-        drawn(scene, run, tasks[0], args.layer)
-        rounds.append(sum((drawn(scene, run, task, args.layer) for task in tasks[1:]), Counter[str]()))
+        drawn(scene, run, tasks[0])
+        rounds.append(sum((drawn(scene, run, task) for task in tasks[1:]), Counter[str]()))
     best = min(rounds, key=lambda spent: spent[CPU])
     print(
         f"{len(tasks) - 1} blocks, {best[TILES]} tiles: {best[TILES] / best[CPU] * 1e3:.0f} tiles a second of CPU; ms of a block:"

@@ -147,7 +147,9 @@ def bare_raster(folder: Path) -> Path:
 def _tile(file: str, folder: Path) -> None:
     from morecantile import tms as matrix_sets
 
-    from skugga.api.workers.drawn_blocks import block_of_grid, drawn_block
+    from skugga.api.compute import draw_picture
+    from skugga.api.products import product_named
+    from skugga.api.workers.block_views import block_of_grid
     from skugga.api.workers.warm_up import warm_up
     from skugga.selector.select import plan_of_view
     from skugga.terrain.geo.grid import BLOCK_PX, tile_grid
@@ -161,7 +163,7 @@ def _tile(file: str, folder: Path) -> None:
     point = matrices.xy(scene.world.anchor_lon_deg, scene.world.anchor_lat_deg)
     x, y = int((point.x - grid.x0) / grid.step // BLOCK_PX), int((grid.y0 - point.y) / grid.step // BLOCK_PX)
     view = block_of_grid(grid, x, y)
-    drawn_block(scene, view, plan_of_view(scene, view, policy="rules"), "color")
+    draw_picture(scene, view, product_named("color"), plan_of_view(scene, view, policy="rules"))
     scene.close()
 
 

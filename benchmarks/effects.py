@@ -52,9 +52,13 @@ from morecantile import tms as matrix_sets
 from skugga.api.catalogue import bundled_levels, find_level
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.attached import attached
+from skugga.shadows.draw import SHADED, heights_suffice, picture_of
 from skugga.shadows.executed_effects import executed_effects
-from skugga.shadows.ground_pictures import shown_map
-from skugga.shadows.render import SHADING_PASS, bands_of, render_frame
+from skugga.shadows.ground_pictures import ground_picture
+from skugga.shadows.passes import PassLog
+from skugga.shadows.picture import Picture
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import SHADING_PASS, bands_of, render_frame, under_sky
 from skugga.terrain.cache import clear_caches
 from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.describe import describe
@@ -293,7 +297,7 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
     for name, plan in ({"first": plans[0], "drawn": plans[0], "alone": plans[1]}).items():  # the first one reads the ground
         clear_caches("light")
         start = time.process_time()
-        shown[name] = shown_map(scene, view, plan)
+        shown[name] = _drawn_block(scene, view, plan)
         ms[name] = time.process_time() - start
     with (
         patch("skugga.shadows.block_casters.idle_patches", lambda *of: frozenset()),
@@ -301,7 +305,7 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
     ):
         clear_caches("light")
         start = time.process_time()
-        whole = shown_map(scene, view, plans[0])
+        whole = _drawn_block(scene, view, plans[0])
         ratios.append(ms["drawn"] / (time.process_time() - start))
     drawn = shown["drawn"]
     if (drawn.color != whole.color).any() or (drawn.opacity != whole.opacity).any():
@@ -313,6 +317,16 @@ def _count_block(scene: Scene, view: MapView, counts: dict[str, int], ratios: li
     counts["sweep"] += 1
     counts["no sweep"] += "cast_shadows" not in ran
     counts["sweep in vain"] += "cast_shadows" in ran and not drawn.opacity.any()
+
+
+def _drawn_block(scene: Scene, view: MapView, plan: Plan) -> Picture:
+    """Draw a block as ``skugga.shadows.draw`` does. It is one block wherever it lies; ``draw`` would cut it from up to four."""
+    if heights_suffice(scene, view, plan, SHADED):
+        log = PassLog()
+        picture = ground_picture(under_sky(scene, plan, log), view, plan, SHADED, log)
+        if picture is not None:
+            return replace(picture, passes=tuple(log.records.values()))
+    return picture_of(render_frame(scene, view, plan), SHADED)
 
 
 def each(given: argparse.Namespace) -> list[Row]:

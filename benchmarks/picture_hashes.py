@@ -21,7 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from skugga.api.catalogue import bundled_levels
-from skugga.api.layers import LAYERS, PASS_LAYERS, frame_layer
+from skugga.api.compute import product_of_frame
+from skugga.api.products import products_with
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.registry import ALGORITHMS
 from skugga.shadows.render import render_frame
@@ -31,6 +32,9 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
 AUTO = "auto"
+
+LAYERS = products_with(lambda each: each.pass_layer is None and "perspective" in each.view_kinds)
+"""Products that every frame has."""
 
 
 def hash_of(array: np.ndarray) -> str:
@@ -53,8 +57,7 @@ def hashes_of_view(scene: Scene, name: str, algorithm: str) -> Iterator[tuple[st
     yield "plan", hash_of(np.frombuffer(plan.model_dump_json().encode(), np.uint8))
     yield "reach", hash_of(np.array([frame.reach.used_m, frame.reach.needed_m, frame.reach.clipped], float))
     for layer in LAYERS:
-        if layer not in PASS_LAYERS:
-            yield layer, hash_of(frame_layer(scene, frame, layer))
+        yield layer, hash_of(product_of_frame(scene, frame, layer))
     for light, visibility in frame.visibilities.items():
         yield f"visibility of {light}", hash_of(visibility)
     for layer, by_light in sorted(frame.layers.items()):

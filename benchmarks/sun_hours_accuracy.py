@@ -25,7 +25,7 @@ from affine import Affine
 from scipy.ndimage import binary_erosion
 
 from benchmarks.sweep_speed import CELL_M, mountains
-from skugga.api.shade import raster_view
+from skugga.api.raster_view import raster_view
 from skugga.shadows.sun_hours.sun_hours import SunHours, SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import WindowSun, window_suns
 from skugga.terrain.casters.rays import RayScene

@@ -265,14 +265,27 @@ from skugga.terrain.geo.grid import BLOCK_PX, MapView, tile_grid
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
+files_of = None
 try:
-    from skugga.shadows.ground_pictures import shown_map as draw
-except ImportError:
-    draw = render_frame
-try:
-    from skugga.api.workers.block_tiles import PicturedBlock, encoded_tiles
-except ImportError:
-    encoded_tiles = None
+    from skugga.api.compute import draw_picture
+    from skugga.api.request import ProductRequest
+    from skugga.api.workers.block_tiles import tiles_of_picture
+    request = ProductRequest()
+    def draw(scene, view, plan):
+        return draw_picture(scene, view, request.record, plan)
+    def files_of(scene, view, drawn):
+        return tiles_of_picture(drawn, request, scene, view, "png", 2)
+except ImportError:  # an older commit
+    try:
+        from skugga.shadows.ground_pictures import shown_map as draw
+    except ImportError:
+        draw = render_frame
+    try:
+        from skugga.api.workers.block_tiles import PicturedBlock, encoded_tiles
+        def files_of(scene, view, drawn):
+            return encoded_tiles(PicturedBlock(drawn.color, drawn.opacity, drawn.there), "color", "png", 2)
+    except ImportError:
+        pass
 level, zoom, suns = sys.argv[1], int(sys.argv[2]), json.loads(sys.argv[3])
 def block(scene):
     grid = tile_grid(tms.get("WebMercatorQuad"), zoom)
@@ -286,9 +299,9 @@ def cpu_ms(scene, view, sun):
     drawn = draw(scene, view, plan)
     passes.append({each.name: round(each.ms) for each in drawn.passes})
     took_ms = 1e3 * (time.process_time() - start)
-    if encoded_tiles is not None:
+    if files_of is not None:
         start = time.process_time()
-        files = encoded_tiles(PicturedBlock(drawn.color, drawn.opacity, drawn.there), "color", "png", 2)
+        files = files_of(scene, view, drawn)
         encoding.append(1e3 * (time.process_time() - start) / len(files))
     return took_ms
 passes, encoding = [], []

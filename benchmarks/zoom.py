@@ -27,7 +27,7 @@ from morecantile import tms as matrix_sets
 
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.passes import PassLog
-from skugga.shadows.render import _render_block, render_frame
+from skugga.shadows.render import render_block, render_frame
 from skugga.terrain.cache import clear_caches
 from skugga.terrain.casters import reach
 from skugga.terrain.casters.slopes import extent_on_grid
@@ -126,7 +126,7 @@ def times(scene: Scene, repeats: int) -> None:
             for show in ways:
                 clear_caches("light")
                 log, start = PassLog(), time.perf_counter()
-                _render_block(scene, view, plan, log, show)
+                render_block(scene, view, plan, log, show)
                 if repeat:  # the first one compiles
                     found.setdefault(show, []).append(((time.perf_counter() - start) * 1000.0, log))
         ms = {show: float(np.median([each for each, _ in runs])) for show, runs in found.items()}
@@ -150,7 +150,7 @@ def far_casters(scene: Scene, sun: tuple[float, float]) -> None:
     for limit in (*limits, 2**20):
         reach.FULL_DETAIL_NODES = limit
         clear_caches("light")
-        seen.append(_render_block(scene, view, plan, PassLog(), "means").visibility < 0.5)
+        seen.append(render_block(scene, view, plan, PassLog(), "means").visibility < 0.5)
     reach.FULL_DETAIL_NODES = nodes
     truth = seen.pop()
     print(f"sun {sun[1]:g} degrees high, {100 * truth.mean():.1f} % in shadow")

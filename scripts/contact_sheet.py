@@ -15,7 +15,7 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from skugga.api.catalogue import bundled_levels
-from skugga.api.layers import picture_layer
+from skugga.api.compute import product_of_frame
 from skugga.selector.planner.planner import make_plan
 from skugga.shadows.render import render_frame
 from skugga.terrain.describe import describe
@@ -57,7 +57,7 @@ def rendered(scene: Scene, name: str, width: int) -> Image.Image:
     size = max(round(own.cols * share), 1), max(round(own.rows * share), 1)
     view = scene.view(name, size=size)
     frame = render_frame(scene, view, make_plan(describe(scene, view, name), scene.loaded.level, {}))
-    picture = Image.fromarray(picture_layer(frame, "color")).convert("RGBA")
+    picture = Image.fromarray(product_of_frame(scene, frame, "color")).convert("RGBA")
     return Image.alpha_composite(Image.new("RGBA", picture.size, (*PAPER, 255)), picture).convert("RGB")
 
 

@@ -61,7 +61,7 @@ def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[f
     from skugga.api.http.server.first_blocks import first_block
     from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevels
     from skugga.api.matrices import OVERZOOMS
-    from skugga.api.workers.jobs import PictureRequest
+    from skugga.api.request import ProductRequest
     from skugga.api.workers.render_worker import run_job
     from skugga.api.workers.warm_up import warm_up
     from skugga.api.workers.worker_state import WorkerState
@@ -79,7 +79,8 @@ def _draw(sources: Sequence[Path], layers: Sequence[str], suns: Sequence[tuple[f
             assert block is not None
             spec = None if sun is None else SunSpec(azimuth=sun[0], altitude=sun[1])
             suffix = "npy" if layer == "visibility" else "png"
-            run_job(block.model_copy(update={"layer": layer, "format": suffix, "request": PictureRequest(sun=spec)}), state)
+            request = ProductRequest(product=layer, sun=spec)
+            run_job(block.model_copy(update={"format": suffix, "request": request}), state)
 
 
 def _command(*words: object) -> None:
@@ -118,12 +119,13 @@ def pictures(rasters: Sequence[Path], folder: Path) -> None:
 def views(rasters: Sequence[Path], folder: Path) -> None:
     from skugga.api.catalogue import bundled_levels
     from skugga.api.cli.snapshot import snapshot
+    from skugga.api.request import ProductRequest
     from skugga.terrain.level.level import load_level
 
     for path in bundled_levels():
         for name, view in load_level(path).level.views.items():
             if view.kind == "perspective":
-                snapshot(path, name, None, {}, (480, 384))
+                snapshot(path, name, ProductRequest(), {}, (480, 384))
 
 
 def masks(rasters: Sequence[Path], folder: Path) -> None:
@@ -134,8 +136,9 @@ def masks(rasters: Sequence[Path], folder: Path) -> None:
 def sun_hours(rasters: Sequence[Path], folder: Path) -> None:
     from skugga.api.http.server.first_blocks import first_blocks
     from skugga.api.http.state.served_levels import ServedLevels
-    from skugga.api.sun_hours_layer import SunHoursQuery
-    from skugga.api.workers.jobs import SunHoursJob
+    from skugga.api.products.sun_hours import SunHoursOptions
+    from skugga.api.request import ProductRequest
+    from skugga.api.workers.jobs import BlockJob
     from skugga.api.workers.render_worker import run_job
     from skugga.api.workers.worker_state import WorkerState
 
@@ -145,7 +148,8 @@ def sun_hours(rasters: Sequence[Path], folder: Path) -> None:
     state = WorkerState("")
     for block in first_blocks(ServedLevels(rasters[:2])):
         place = block.model_dump(include={"matrix_set", "zoom", "block_x", "block_y"})
-        run_job(SunHoursJob(level=block.level, **place, query=SunHoursQuery(date=date(2024, 3, 20))), state)
+        options = SunHoursOptions(**SunHoursOptions.UNSERVED, date=date(2024, 3, 20))
+        run_job(BlockJob(level=block.level, **place, request=ProductRequest(product="sunhours", options=options)), state)
 
 
 def points(rasters: Sequence[Path], folder: Path) -> None:

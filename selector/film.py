@@ -3,7 +3,7 @@
 A film has one time, that of the scene: the sun, the clock of what moves, and the camera go by it. Frame ``n`` is ``n`` steps after
 the first one. Plans are a ``Replanner``'s: a choice of algorithms stays while it serves, and a switch is spread over some frames.
 Any other frame is the picture that ``render_frame`` makes of its moment with its plan; that of bare ground is drawn faster
-(``skugga.shadows.ground_pictures``).
+(``skugga.shadows.draw``).
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ import numpy as np
 from skugga.selector.film_request import MOST_FRAMES, FilmRequest
 from skugga.selector.formatting import format_list
 from skugga.selector.replanning import PlanTransition, Replanner, casting, choices_of, mixed_pictures
-from skugga.shadows.ground_pictures import needs_no_gl, shown_color
+from skugga.shadows.draw import draw, heights_suffice
+from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
 from skugga.shadows.render import render_frame
 from skugga.terrain.camera_path import camera_path
@@ -31,6 +32,8 @@ from skugga.terrain.geo.camera import PerspectiveView
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import MAX_PERSPECTIVE_PX, Scene
+
+COLOR: Needs = frozenset({"color"})
 
 log = logging.getLogger("skugga")
 
@@ -159,18 +162,20 @@ def _planned(
             log.info("%s: %s instead of %s: %s", moment.words, switch.after, switch.before, switch.why)
         before = plan
         if replanner.handover is not None:
-            drawn, left = (render_frame(now, moment.view, each) for each in (plan, replanner.handover.plan))
-            color = mixed_pictures(left.color, drawn.color, replanner.share(left.visibilities, drawn.visibilities))
+            new, left = (render_frame(now, moment.view, each) for each in (plan, replanner.handover.plan))
+            color = mixed_pictures(left.color, new.color, replanner.share(left.visibilities, new.visibilities))
             yield partial(FilmFrame, moment, color, plan, replanner.handover, switch)
             continue
-        draw: Callable[[], np.ndarray] = partial(shown_color, now, moment.view, plan)
-        if threads is not None and moment.number > 0 and needs_no_gl(now, moment.view, plan):
-            draw = threads.submit(draw).result
-        yield partial(_drawn, moment, draw, plan, switch)
+        drawn: Callable[[], Picture] = partial(draw, now, moment.view, plan, COLOR)
+        if threads is not None and moment.number > 0 and heights_suffice(now, moment.view, plan, COLOR):
+            drawn = threads.submit(drawn).result
+        yield partial(_drawn, moment, drawn, plan, switch)
 
 
-def _drawn(moment: FrameMoment, draw: Callable[[], np.ndarray], plan: Plan, switch: PlanSwitch | None) -> FilmFrame:
-    return FilmFrame(moment, draw(), plan, None, switch)
+def _drawn(moment: FrameMoment, drawn: Callable[[], Picture], plan: Plan, switch: PlanSwitch | None) -> FilmFrame:
+    color = drawn().color
+    assert color is not None
+    return FilmFrame(moment, color, plan, None, switch)
 
 
 def _switch(moment: FrameMoment, before: Plan, after: Plan, why: str | None) -> PlanSwitch | None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.shadows.block_casters import casters_beside, needed_steps
-from skugga.shadows.layer_collector import LayerCollector, PixelWindow
+from skugga.shadows.layer_collector import LayerCollector
 from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, OF_PIXELS, PassLog
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS
@@ -33,7 +33,7 @@ from skugga.terrain.gbuffer.covered_nodes import (
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.picture import geometry_of
 from skugga.terrain.geo.camera import PerspectiveView
-from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView
+from skugga.terrain.geo.grid import BLOCK_PX, Grid, MapView, PixelWindow
 from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene

@@ -6,11 +6,10 @@ import numpy as np
 
 from skugga.shadows.passes import OF_PIXELS, PassLayer
 from skugga.terrain.errors import InputError
+from skugga.terrain.geo.grid import PixelWindow
 
 MAX_TEXELS = 64_000_000
 """Most texels of a layer that has a size of its own."""
-
-PixelWindow = tuple[slice, slice]
 
 
 class LayerCollector:

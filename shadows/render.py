@@ -26,7 +26,7 @@ from skugga.terrain.gbuffer.covered_nodes import PixelsShow
 from skugga.terrain.gbuffer.geometry import GeometryBuffer
 from skugga.terrain.gbuffer.subsampled import subsampled_points
 from skugga.terrain.geo.camera import PerspectiveView
-from skugga.terrain.geo.grid import MapView, blocks_of
+from skugga.terrain.geo.grid import MapView, blocks_of, windows_of
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.level.level import SUN, EffectName
 from skugga.terrain.scene import Scene
@@ -114,6 +114,12 @@ class Frame:
         return replace(self, visibilities=seen, shown_visibilities=shown)
 
 
+def check_pixels(view: MapView | PerspectiveView) -> None:
+    """Raise ``InputError`` for a view of more pixels than a frame may have."""
+    if view.rows * view.cols > MAX_PIXELS:
+        raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_PIXELS} pixels")
+
+
 def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
     """The passes of a frame in which these effects run, in order."""
 
@@ -143,24 +149,16 @@ def render_frame(
     where other passes ran than the plan lists.
     """
     _check_layers(plan, layers)
-    if view.rows * view.cols > MAX_PIXELS:
-        raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_PIXELS} pixels")
+    check_pixels(view)
     size = view.rows, view.cols
     log, reach, kept = PassLog(wanted=layers), Reach(0.0, 0.0, False), LayerCollector(size)
-    scene = _under_sky(scene, plan, log)
+    scene = under_sky(scene, plan, log)
     parts: Sequence[tuple[MapView | PerspectiveView, int, int]] = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     whole = None
     for done, (part, row, col) in enumerate(parts, start=1):
-        block = _render_block(scene, part, plan, log, pixels_show)
-        reach = _worse(reach, block.reach)
-        frame_window = (
-            slice(max(row, 0), min(row + part.rows, view.rows)),
-            slice(max(col, 0), min(col + part.cols, view.cols)),
-        )
-        block_window = (
-            slice(frame_window[0].start - row, frame_window[0].stop - row),
-            slice(frame_window[1].start - col, frame_window[1].stop - col),
-        )
+        block = render_block(scene, part, plan, log, pixels_show)
+        reach = worse_reach(reach, block.reach)
+        frame_window, block_window = windows_of(view, part, row, col)
         if whole is None:  # the arrays of the only part are the picture's
             whole = block if len(parts) == 1 and block.there.shape == size else _empty(view, plan, block)
         if whole is not block:
@@ -210,14 +208,18 @@ def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:
     return [(view.part(row, 0, min(rows, view.rows - row), view.cols), row, 0) for row in range(0, view.rows, rows)]
 
 
-def _under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
+def under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
+    """Return the scene with the sun where a plan's effects show it: refraction is a pass of its own."""
     if REFRACTION_PASS not in plan.runs:
         return with_apparent_sun(scene, plan.runs)
     with log.run(REFRACTION_PASS):
         return with_apparent_sun(scene, plan.runs)
 
 
-def _render_block(scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog, pixels_show: PixelsShow) -> Frame:
+def render_block(
+    scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog, pixels_show: PixelsShow = "means"
+) -> Frame:
+    """Render a part of a view, or a block of a map, of a scene ``under_sky``. Raises as ``render_frame``."""
     with log.run(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
         buffer, own_pixels = picture.buffer, picture.own
@@ -291,6 +293,6 @@ def _put_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, l
     linear[row, col] = sky(scene, view, pixel_row, pixel_col)
 
 
-def _worse(a: Reach, b: Reach) -> Reach:
+def worse_reach(a: Reach, b: Reach) -> Reach:
     """The reach to report of two blocks: a clipped one before a whole one, then the farther one."""
     return max(a, b, key=lambda reach: (reach.clipped, reach.needed_m, -reach.used_m))

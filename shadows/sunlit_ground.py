@@ -5,52 +5,51 @@ The answers are those of ``render_frame``'s masks: the same sweep over the same 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from skugga.shadows.attached import attached
 from skugga.shadows.coarse_pixels import CoarsePixels, coarse_pixels, heights_say_all, lit_nodes
-from skugga.shadows.passes import CASTERS_PASS, PassLog
+from skugga.shadows.passes import ATTACHED_PASS, CASTERS_PASS, GEOMETRY_PASS, PassLog
+from skugga.shadows.picture import Needs, Picture
 from skugga.shadows.plan import Plan
-from skugga.shadows.visibility import with_apparent_sun
 from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.reach import NO_CASTERS, reach_over
 from skugga.terrain.gbuffer.bare_ground import bare_ground
 from skugga.terrain.gbuffer.bare_nodes import HALO, bare_nodes
 from skugga.terrain.gbuffer.covered_nodes import is_bare
 from skugga.terrain.gbuffer.geometry import GeometryBuffer, map_geometry
+from skugga.terrain.gbuffer.ground_normals import ground_normals
 from skugga.terrain.geo.grid import MapView
 from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 
-@dataclass(frozen=True, eq=False)
-class SunlitGround:
-    """A map's own points: ``there`` bool (rows, cols), where there is ground, and whether the sun is seen there: ``lit``."""
+def is_lit_by_heights(scene: Scene, view: MapView, plan: Plan) -> bool:
+    """Whether the sun at a map's own points follows from the heights of bare ground."""
+    if not (view.on_nodes and is_bare(scene) and scene.sun is not None and plan.lights[0] == SUN):
+        return False
+    return not scene.sun_is_up or (heights_say_all(scene, plan) and coarse_pixels(scene, view, plan) is None)
 
-    there: np.ndarray
-    lit: np.ndarray
 
-
-def sunlit_ground(scene: Scene, view: MapView, plan: Plan) -> SunlitGround | None:
-    """Execute a plan at the points of a map on its grid's nodes; ``None`` where heights alone do not say what is seen, and where
-    pixels are so coarse that they show means. Raises as ``render_frame``.
-    """
-    if not (view.on_nodes and is_bare(scene) and scene.sun is not None):
-        return None
-    ground = bare_ground(scene, view, None)
-    if ground is None:
-        return None
-    if not scene.sun_is_up or not ground.there.any():
-        return SunlitGround(ground.there, np.zeros(ground.there.shape, np.bool_))
-    scene = with_apparent_sun(scene, plan.runs)
-    if not heights_say_all(scene, plan) or coarse_pixels(scene, view, plan) is not None:
-        return None
-    _, seen = lit_nodes(CoarsePixels(scene, plan, view.grid, 1, bare=True), view, CASTERS_PASS in plan.runs, PassLog())
-    lit, rim = seen[SUN] & ground.there, rim_points(scene, view)
-    if rim is not None:
-        lit &= ~(rim.there & attached(rim, scene, SUN))
-    return SunlitGround(ground.there, lit)
+def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture | None:
+    """Execute a plan at the points of a block; ``None`` where its ground needs triangles. Raises as ``render_frame``."""
+    with log.run(GEOMETRY_PASS):
+        ground = bare_ground(scene, view, None)
+        if ground is None:
+            return None
+        visibility = np.where(ground.there, np.float32(0.0), np.float32(np.nan))
+        if not ground.there.any():
+            return Picture(ground.there, (), visibility=visibility, reach=NO_CASTERS.reach)
+        reach = reach_over(scene, bare_nodes(scene, view, 1)) if "reach" in needs else None
+    if scene.sun_is_up:
+        _, seen = lit_nodes(CoarsePixels(scene, plan, view.grid, 1, bare=True), view, CASTERS_PASS in plan.runs, log)
+        lit = seen[SUN] & ground.there
+        with log.run(ATTACHED_PASS):
+            rim = rim_points(scene, view)
+            if rim is not None:
+                lit &= ~(rim.there & attached(rim, scene, SUN))
+        visibility[lit] = 1.0
+    return Picture(ground.there, (), visibility=visibility, reach=reach)
 
 
 @cached("scene", 448 * MIB, key=lambda scene, view: (scene.world, scene.elevation, view), most=1)
@@ -81,13 +80,5 @@ def cosine_of_incidence(scene: Scene, view: MapView) -> np.ndarray:
     where the ground faces away, NaN where there is none. Objects and water on it do not count.
     """
     assert scene.sun is not None
-    out = np.full((view.rows, view.cols), np.nan, np.float32)
-    ground = bare_ground(scene, view, None) if view.on_nodes else None
-    if ground is None:
-        frame = scene.world.frame_near(view.grid.crs, *view.centre)
-        points = map_geometry(scene.surface(view.grid), view, frame)
-        facing = points.shading_normal_frame @ scene.sun.in_frame(frame).astype(np.float32)
-        return np.where(points.there, facing, np.float32(np.nan))
-    facing = ground.normal_frame @ scene.sun.in_frame(ground.frame).astype(np.float32)
-    out[ground.window] = np.where(ground.there[ground.window], facing, np.float32(np.nan))
-    return out
+    normal_frame, frame = ground_normals(scene, view)
+    return normal_frame @ scene.sun.in_frame(frame).astype(np.float32)

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("skugga", "terrain", "shadows", "selector", "api", "configs", "tests")
 
 Edits = Mapping[str, tuple[tuple[str, str], ...]]
-"""File -> what stands there once, and what shall stand there."""
+"""File -> what stands there once, and what shall stand there. A file that is not there begins as an empty one."""
 
 
 def copy_with(folder: Path, edits: Edits) -> Path:
@@ -25,7 +25,7 @@ def copy_with(folder: Path, edits: Edits) -> Path:
         shutil.copytree(ROOT / floor, house / floor, symlinks=True, ignore=shutil.ignore_patterns("static", "golden"))
     for name, changes in edits.items():
         path = house / name
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8") if path.exists() else ""
         for old, new in changes:
             assert text.count(old) == 1, (name, old)
             text = text.replace(old, new)

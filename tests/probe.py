@@ -1,6 +1,7 @@
 """What all front ends make of something more, printed as JSON: run by ``tests.copies`` on a copy of the house.
 
-``python -m tests.probe LEVEL setting|layer|parameter``. Its render process draws nothing: it answers with what it was told.
+``python -m tests.probe LEVEL setting|product|parameter``. Its render process draws nothing, but for a product: it answers with what
+it was told.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ import httpx
 import numpy as np
 
 from skugga.api.cli import main as cli
+from skugga.api.encoding import encode_picture
 from skugga.api.http.server.app import create_app
-from skugga.api.layers import encode_picture, picture_layer
+from skugga.api.products.product import Part
 from skugga.api.settings import Settings
-from skugga.api.workers.block_tiles import PicturedBlock, encoded_tiles
+from skugga.api.workers.block_tiles import tiles_of_picture
 from skugga.api.workers.jobs import (
     BlockJob,
     BlockTiles,
@@ -33,11 +35,12 @@ from skugga.api.workers.jobs import (
     Ready,
     Snapshot,
 )
-from skugga.api.workers.render_worker import run_job
+from skugga.api.workers.render_worker import run_job, run_worker
 from skugga.api.workers.worker_config import WorkerConfig
-from skugga.api.workers.worker_state import WorkerState
+from skugga.api.workers.worker_state import WorkerState, block_view
 from skugga.selector.candidates import name_of
 from skugga.shadows.maps.settings import ShadowMapSettings
+from skugga.shadows.picture import Picture
 from skugga.terrain.describe import describe
 from skugga.terrain.errors import SkuggaError
 from skugga.terrain.geo.grid import BLOCK_PX
@@ -69,12 +72,18 @@ def told(pipe: Connection, config: WorkerConfig) -> None:
             pipe.send(PlanAnswer(said))
             continue
         side = BLOCK_PX
-        there, quarter = np.ones((side, side), np.bool_), np.full((side, side), 0.25, np.float32)
-        block = PicturedBlock(np.zeros((side, side, 3), np.uint8), np.full((side, side), 191, np.uint8), there, quarter)
+        valid, quarter = np.ones((side, side), np.bool_), np.full((side, side), 0.25, np.float32)
+        shadow = np.full((side, side), 191, np.uint8)
+        picture, scene = (
+            Picture(valid, (), np.zeros((side, side, 3), np.uint8), shadow, quarter),
+            build_scene(load_level(job.level.path)),
+        )
         if isinstance(job, BlockJob):
-            pipe.send(BlockTiles(encoded_tiles(block, job.layer, job.format, job.tiles), 0.0, said, (), 0.0, 0.0, False, "told"))
+            tiles = tiles_of_picture(picture, job.request, scene, block_view(job), job.format, job.tiles)
+            pipe.send(BlockTiles(tiles, 0.0, said, (), 0.0, 0.0, False, "told"))  # type: ignore[arg-type]
         else:
-            body = encode_picture(picture_layer(block.part(0, 0, 8), job.layer), f".{job.format}")
+            part = picture.part((slice(0, 8), slice(0, 8)))
+            body = encode_picture(job.request.record.compute(Part(scene, scene.view(), None, part)), job.format)
             pipe.send(Snapshot(body, 0.0, said, (), 0.0, 0.0, False, "told"))
 
 
@@ -169,27 +178,95 @@ def setting(level: Path, client: httpx.Client) -> dict[str, Any]:
     }
 
 
-def layer(level: Path, client: httpx.Client) -> dict[str, Any]:
-    """A layer ``dusk`` of gray, 100 where a quarter is lit."""
-    from PIL import Image
+def plane(raster: Path) -> None:
+    """Write ground that rises 0.75 to the east for each unit of the map in the place of a raster's own."""
+    import rasterio
 
-    picture, wrong = level.with_name("dusk.png"), level.with_name("dusk.npy")
-    size = ("--size", "32x32", "--algorithm", "none", "--layer", "dusk")
-    drawn = command("render", str(level), *size, "-o", str(picture))
-    bodies = [client.get(path, params={"layer": "dusk"}) for path in (TILE, f"{TILES}.webp", SNAPSHOT, f"{TILES}@2x.png")]
+    with rasterio.open(raster, "r+") as dataset:
+        columns = np.arange(dataset.width, dtype=np.float32) * np.float32(0.75 * dataset.res[0])
+        dataset.write(np.broadcast_to(columns, dataset.shape), 1)
+
+
+def product(level: Path, client: httpx.Client) -> dict[str, Any]:
+    """A product ``steepness`` of ground that rises 0.75 to the east for each metre of the map, by a ``gain`` of 2."""
+    import rasterio
+    from morecantile import tms as matrix_sets
+    from PIL import Image
+    from pmtiles.reader import MmapSource, Reader
+
+    import skugga
+    from skugga.api.products import product_table
+
+    asked, folder = {"layer": "steepness", "gain": 2}, level.parent
+    raster, archive = folder / "steepness.tif", folder / "steepness.pmtiles"
+
+    def inside(array: np.ndarray, rim: int = 4) -> list[float]:
+        """The least and the greatest value within the data, and the share of its pixels that have one."""
+        known = np.isfinite(array)
+        rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+        part = array[rows[0] + rim : rows[-1] - rim + 1, cols[0] + rim : cols[-1] - rim + 1]
+        return [float(np.nanmin(part)), float(np.nanmax(part)), float(np.isfinite(part).mean())]
+
+    def values(path: str, **more: object) -> np.ndarray:
+        answer = client.get(path, params={**asked, **more})
+        assert answer.status_code == 200, answer.text
+        return np.load(io.BytesIO(answer.content))
+
+    def colors(content: bytes) -> list[list[int]]:
+        """The colours in the middle of a picture."""
+        picture = np.asarray(Image.open(io.BytesIO(content)).convert("RGBA"))
+        rows, cols = (np.flatnonzero((picture[..., 3] == 255).any(axis=axis)) for axis in (1, 0))
+        part = picture[rows[0] + 4 : rows[-1] - 3, cols[0] + 4 : cols[-1] - 3]
+        return np.unique(part.reshape(-1, 4), axis=0).tolist()
+
+    done = command("compute", str(level), "--product", "steepness", "--gain", "2", "-o", str(raster))
+    assert done[0] == 0, done
+    with rasterio.open(raster) as dataset, skugga.open_level(level) as opened:
+        by_command, by_python = dataset.read(1), opened.compute("steepness", gain=2.0)
+    around = [[values(TILES.replace("2144/1432", f"{x}/{y}") + ".npy") for x in (2143, 2144)] for y in (1431, 1432)]
+    bounds = matrix_sets.get("WebMercatorQuad").xy_bounds(2144, 1432, 12)
+    wms = {
+        "SERVICE": "WMS", "REQUEST": "GetMap", "LAYERS": "hills:steepness", "CRS": "EPSG:3857", "BBOX": ",".join(map(str, bounds)),
+        "WIDTH": 200, "HEIGHT": 200, "FORMAT": "image/png", "TRANSPARENT": "TRUE", "GAIN": 2,
+    }  # fmt: skip
+    done = command(
+        "seed", str(level), "--zooms", "12-12", "--layer", "steepness", "--gain", "2", "--workers", "1", "-o", str(archive)
+    )
+    assert done[0] == 0, done
+    with archive.open("rb") as file:
+        seeded = Reader(MmapSource(file)).get(12, 2144, 1432)
+    tile = client.get(TILE, params=asked)
+    assert seeded == tile.content, "the archive has the tile that the service has"
+    said = client.get("/levels/hills/WebMercatorQuad/tilejson.json", params=asked).json()
+    level_said = client.get("/levels/hills").json()
+    documents = {
+        name: client.get(address).text
+        for name, address in (
+            ("wms", "/wms?SERVICE=WMS&REQUEST=GetCapabilities"), ("wmts", "/wmts/1.0.0/WMTSCapabilities.xml"),
+        )
+    }  # fmt: skip
+    mask = ("--product", "mask", "--gain", "2", "-o", str(raster))
     return {
-        "render": [drawn, np.asarray(Image.open(picture)).max().item()],
-        "refused": command("render", str(level), *size, "-o", str(wrong)),
-        "help": " ".join(command("render", "--help")[1].split()),
-        "http": [np.unique(np.asarray(Image.open(io.BytesIO(each.content)).convert("L"))).tolist() for each in bodies],
-        "off the data": np.unique(
-            np.asarray(Image.open(io.BytesIO(client.get(TILE.replace("2144", "2244"), params={"layer": "dusk"}).content)))
-        ).tolist(),
-        "refusal": client.get(f"{TILES}.jpg", params={"layer": "dusk"}).json(),
-        "unknown": client.get(TILE, params={"layer": "dawn"}).json(),
-        "layers": client.get("/levels/hills").json()["layers"],
-        "openapi": asked_of(client.get("/openapi.json").json(), "layer"),
-    }
+        "command": inside(by_command), "python": inside(by_python), "tile": inside(values(f"{TILES}.npy")),
+        "double tile": inside(values(f"{TILES}@2x.npy")), "across blocks": inside(np.block(around)),
+        "map": inside(values("/levels/hills/map.npy", width=300)), "colors": colors(tile.content),
+        "wms": colors(client.get("/wms", params=wms).content), "seeded": colors(seeded),
+        "map_layers": level_said["map_layers"], "products": {each["name"]: each for each in level_said["products"]},
+        "tilejson": {"tiles": said["tiles"][0], "legend": said["skugga"]["legend"]["title"]},
+        "legend": [client.get(f"/levels/hills/legend.{kind}", params=asked).headers["content-type"] for kind in ("png", "svg")],
+        **{f"{name} capabilities": ["hills:steepness" in text, "LegendURL" in text] for name, text in documents.items()},
+        "help": " ".join(command("compute", "--help")[1].split()),
+        "openapi": asked_of(client.get("/openapi.json").json(), "gain"), "docs": product_table(),
+        "tags": [client.get(TILE, params={**asked, "gain": gain}).headers["etag"] for gain in (2, 3)],
+        "refusals": [
+            client.get(TILE, params=query).json() for query in ({"gain": 2}, {**asked, "gain": 99}, {**asked, "gain": "x"})
+        ],
+        "refused": [
+            command("compute", str(level), *mask),
+            command("compute", str(level), "--product", "steepness", "--gain", "99", "-o", str(raster)),
+        ],
+        "in perspective": command("render", str(level), "--view", "across", "--layer", "steepness", "-o", str(raster)),
+    }  # fmt: skip
 
 
 def parameter(level: Path, client: httpx.Client) -> dict[str, Any]:
@@ -207,5 +284,8 @@ def parameter(level: Path, client: httpx.Client) -> dict[str, Any]:
 
 if __name__ == "__main__":
     level_file, what = Path(sys.argv[1]), sys.argv[2]
-    with running(create_app(Settings(workers=1), [level_file], told)) as served:
-        print(json.dumps({"setting": setting, "layer": layer, "parameter": parameter}[what](level_file, served)))
+    if what == "product":
+        plane(level_file.with_suffix(".tif"))
+    worker = run_worker if what == "product" else told
+    with running(create_app(Settings(workers=1), [level_file], worker)) as served:
+        print(json.dumps({"setting": setting, "product": product, "parameter": parameter}[what](level_file, served)))

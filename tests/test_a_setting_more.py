@@ -1,4 +1,4 @@
-"""What a change touches, held by making it on a copy: a setting of shadows, a layer, another query parameter of a picture.
+"""What a change touches, held by making it on a copy: a setting of shadows, a product, another query parameter of a picture.
 
 Each is added in the files that are named here and nowhere else, and found in all that users touch. ``docs/contributing.md`` has
 the same numbers of files.
@@ -24,18 +24,37 @@ A_SETTING: Edits = {
     ),
 }
 
-A_LAYER: Edits = {
-    "api/layers.py": (
-        (
-            "LAYERS: dict[str, Layer] = {\n",
-            "LAYERS: dict[str, Layer] = {\n"
-            '    "dusk": Layer(\n'
-            '        about="gray by a layer more", suffixes=(".png", ".webp"),\n'
-            "        picture=lambda part: np.where(part.there, np.minimum(400 * part.visibility, 255), 7).astype(np.uint8),\n"
-            "    ),\n",
-        ),
-    ),
-}
+STEEPNESS = '''
+"""A made-up product: how steep the ground is, with a factor."""
+
+import numpy as np
+from pydantic import Field
+
+from skugga.api.color_scale import ColorScale
+from skugga.api.products.product import Part, Product, ProductOptions
+
+
+class SteepnessOptions(ProductOptions):
+    gain: float = Field(default=1.0, ge=0.1, le=10.0, description="Factor of the steepness.", examples=[2])
+
+
+def _compute(part: Part) -> np.ndarray:
+    """Rise per unit of the map, by central differences: a pixel more is needed on each side."""
+    height_m, step = part.ground_height_m.astype(float), part.map_view.grid.step
+    out = np.full(height_m.shape, np.nan, np.float32)
+    across, down = height_m[1:-1, 2:] - height_m[1:-1, :-2], height_m[2:, 1:-1] - height_m[:-2, 1:-1]
+    out[1:-1, 1:-1] = part.options.gain * np.hypot(across, down) / (2.0 * step)
+    return out
+
+
+PRODUCT = Product(
+    name="steepness", about="made-up steepness of the ground", formats=("png", "tif", "npy"), compute=_compute,
+    view_kinds=("map",), when="none", reach_px=1, options=SteepnessOptions, unit="1",
+    color_scale=lambda options, world: ColorScale("Steepness", "viridis", 0.0, 2.0, ((0.0, "0"), (1.0, "1"), (2.0, "2"))),
+)
+'''
+
+A_PRODUCT: Edits = {"api/products/steepness.py": (("", STEEPNESS),)}
 
 A_PARAMETER: Edits = {
     "api/http/parameters.py": (
@@ -46,7 +65,7 @@ A_PARAMETER: Edits = {
         ),
         ("    return PictureRequest(\n        sun=sun,", "    return PictureRequest(\n        raised=raised, sun=sun,"),
     ),
-    "api/workers/jobs.py": (
+    "api/request.py": (
         (
             "    sun: SunSpec | None = None\n    style: StyleName | None = None\n",
             "    sun: SunSpec | None = None\n    raised: float | None = None\n    style: StyleName | None = None\n",
@@ -62,19 +81,22 @@ A_PARAMETER: Edits = {
 }  # fmt: skip
 
 
+ACROSS = {"kind": "perspective", "eye": [8.43, 47.5, 300], "target": [8.45, 47.51, 0]}
+
+
 @pytest.fixture
 def said(tmp_path: Path):
     """``said(edits, what)`` is what the probe says on a copy with those edits."""
 
     def say(edits: Edits, what: str) -> dict:
-        return said_in(copy_with(tmp_path, edits), "tests.probe", write_level(tmp_path, "hills"), what)
+        return said_in(copy_with(tmp_path, edits), "tests.probe", write_level(tmp_path, "hills", views={"across": ACROSS}), what)
 
     return say
 
 
 def test_files_to_edit():
     """As ``docs/contributing.md`` has it; who reads the new thing comes on top."""
-    assert [len(edits) for edits in (A_SETTING, A_LAYER, A_PARAMETER)] == [1, 1, 2]
+    assert [len(edits) for edits in (A_SETTING, A_PRODUCT, A_PARAMETER)] == [1, 1, 2]
 
 
 def test_a_setting_more_is_everywhere(said):
@@ -119,19 +141,42 @@ def test_a_setting_more_is_everywhere(said):
     assert found["candidate"].endswith("-bright")
 
 
-def test_a_layer_more_is_everywhere(said):
-    found = said(A_LAYER, "layer")
-    (status, _, err), brightest = found["render"]
-    assert status == 0 and brightest == 255, err
-    status, _, err = found["refused"]
-    assert status == 2 and "for layer dusk: .png, .webp" in err
-    assert "dusk, color, shadow" in found["help"]
-    assert found["http"] == [[100]] * 4 and found["off the data"] == [7]
-    assert found["refusal"]["parameter"] == "format" and "png, webp for layer dusk" in found["refusal"]["detail"]
-    assert found["unknown"]["parameter"] == "layer" and "dusk" in found["unknown"]["detail"]
-    assert "dusk" in found["layers"]
-    for parameter in found["openapi"].values():
-        assert "dusk" in parameter["schema"]["enum"] and "`dusk` is gray by a layer more" in parameter["description"]
+def test_a_product_more_is_everywhere(said, tmp_path):
+    """On ground that rises 0.75 to the east for each metre of the map, by a factor of 2: 1.5 wherever it is asked for."""
+    found = said(A_PRODUCT, "product")
+    for door in ("command", "python", "tile", "double tile", "map", "across blocks"):
+        low, high, share = found[door]
+        assert low == pytest.approx(1.5, abs=1e-3) and high == pytest.approx(1.5, abs=1e-3), (door, low, high)
+        assert share == 1.0, f"{door}: a seam, or nothing"
+    assert found["colors"] == found["wms"] == found["seeded"], "a picture has the colour of 1.5 by the scale, at every door"
+    assert len(found["colors"]) == 1 and found["colors"][0][3] == 255
+    assert (
+        "steepness" in found["map_layers"]
+        and {"name": "steepness", "legend": True}.items() <= found["products"]["steepness"].items()
+    )
+    assert found["tilejson"]["tiles"].endswith("?layer=steepness&gain=2.0") and found["tilejson"]["legend"] == "Steepness"
+    assert found["legend"] == ["image/png", "image/svg+xml"]
+    for capabilities in ("wms capabilities", "wmts capabilities"):
+        assert found[capabilities] == [True, True], capabilities
+    assert "steepness: Factor of the steepness." in found["help"] and "--gain" in found["help"]
+    assert {path.rpartition("/")[2] for path in found["openapi"]} == {
+        "{y}.{format}", "{y}@2x.{format}", "tilejson.json", "legend.{format}", "map.{format}", "lines.json",
+    }  # fmt: skip
+    assert all("Factor of the steepness." in each["description"] for each in found["openapi"].values())
+    assert "| `steepness` | made-up steepness of the ground |" in found["docs"]
+    assert found["tags"][0] != found["tags"][1]
+    for problem in found["refusals"]:
+        assert problem["status"] == 422 and problem["parameter"] == "gain", problem
+    for status, _, err in found["refused"]:
+        assert status == 2 and err.count("\n") == 1 and "gain" in err, err
+    status, _, err = found["in perspective"]
+    assert status == 2 and "layer: 'steepness' is not allowed; allowed: in a perspective view: color" in err
+
+
+def test_without_its_record_there_is_no_product(said):
+    """The probe sees the record, not something else."""
+    with pytest.raises(AssertionError, match="No such option: --gain"):
+        said({}, "product")
 
 
 def test_a_parameter_more_reaches_the_picture_and_its_tags(said):

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
+from skugga.api.compute import compute
+from skugga.api.request import ProductRequest
 from skugga.selector.measure.footprint import texel_footprint_px
 from skugga.selector.measure.view_truth import truth_of_view
 from skugga.selector.planner.planner import make_plan
@@ -113,6 +115,7 @@ def draw_with_everything(scene: Scene) -> list[object]:
     _ground_between_nodes(scene, nodes.part(0, 0, 8, 8).shifted(0.25, 0.25), None)
     patch_ground(scene.world, scene.elevation, block.view.grid, [Patch(0, 0, 0)])
     rim_points(scene, nodes)
+    compute(scene, nodes, ProductRequest(product="height"), None)
     point = place_at(scene, tuple(place(240, 200)))
     horizon_round(surroundings(scene, point))
     real.errors([np.ones(buffer.there.shape)], plan.steps_under("sun"), 1.0)

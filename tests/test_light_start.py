@@ -58,7 +58,7 @@ LIGHT: dict[str, tuple[list[str], int, frozenset[str]]] = {
     "unknown option": (["--sparkle"], 2, frozenset()),
     "unknown option of a command": (["validate", "x.tif", "--sparkle"], 2, TYPER),
     "missing argument": (["validate"], 2, TYPER),
-    "missing option": (["sunhours", "x.tif"], 2, TYPER),
+    "missing option": (["sunhours", "x.tif"], 2, TYPER | {"numpy"}),
     "value that is no number": (["overviews", "x.tif", "--nodata", "none"], 2, TYPER),
     "script of completion": (["--show-completion", "bash"], 0, TYPER),
 }
@@ -66,9 +66,9 @@ LIGHT: dict[str, tuple[list[str], int, frozenset[str]]] = {
 
 HELP: dict[str, frozenset[str]] = {
     **dict.fromkeys(COMMANDS, TYPER),
-    **dict.fromkeys(["point", "render", "shade"], TYPER | {"numpy"}),
+    **dict.fromkeys(["compute", "point", "render", "seed", "shade", "sunhours"], TYPER | {"numpy"}),
 }
-"""Command -> what its help may import: what formats and layers there are is said beside their arrays."""
+"""Command -> what its help may import: what formats and products there are is said beside their arrays."""
 
 SHOWN: dict[str, tuple[str, str, frozenset[str]]] = {
     "commands": ("skugga se", "select", TYPER),
@@ -92,6 +92,7 @@ WORK: dict[str, tuple[list[str], frozenset[str]]] = {
     "shade": (["shade", "hills.tif", *SWEEP, "-o", "mask.tif"], RASTERS | LOOPS | DRAWING),
     "shade at a time": (["shade", "hills.tif", *NOON, "-o", "mask.tif"], RASTERS | LOOPS | DRAWING | SUN),
     "sunhours": (["sunhours", "hills.tif", "--date", "2024-03-21", "-o", "hours.tif"], RASTERS | LOOPS | SUN | {"moderngl"}),
+    "compute": (["compute", "hills.tif", "--product", "height", "-o", "height.tif"], RASTERS | LOOPS | DRAWING),
     "point": (["point", "hills.tif", *PLACE, "--date", "2024-03-21"], RASTERS | LOOPS | SUN | TABLES),
     "horizon of a point": (["point", "hills.tif", *PLACE, "--horizon", "pvlib"], RASTERS | LOOPS),
     "render": (["render", "hills.tif", *SWEEP, "--size", "64x64", "-o", "color.png"], RASTERS | LOOPS | DRAWING | {"PIL"}),

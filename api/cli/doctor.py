@@ -101,14 +101,16 @@ def _drawing() -> Finding:
     """Draw a small known map: the whole path from a level to a frame."""
     from skugga.api.catalogue import find_level
     from skugga.api.cli.snapshot import snapshot
+    from skugga.api.products.mask import MASK_LIT, MASK_SHADOW
+    from skugga.api.request import ProductRequest
     from skugga.terrain.level.parts import SunSpec
 
     try:
-        sun = SunSpec(azimuth=237, altitude=10)
-        _, frame = snapshot(find_level("jacksboro"), "map", sun, {"filter": 1}, size=(64, 64))
+        request = ProductRequest(product="mask", sun=SunSpec(azimuth=237, altitude=10))
+        mask = snapshot(find_level("jacksboro"), "map", request, {"filter": 1}, size=(64, 64)).computed.array
     except SkuggaError as error:
         return Finding("a shadowed map", False, str(error))
-    share = float((frame.visibility[frame.there] < 0.5).mean())
+    share = float((mask == MASK_SHADOW).sum() / max(((mask == MASK_SHADOW) | (mask == MASK_LIT)).sum(), 1))
     return Finding("a shadowed map", 0.05 < share < 0.6, f"{100 * share:.0f} % in shadow")
 
 

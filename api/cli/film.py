@@ -15,7 +15,7 @@ import typer
 
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.progress import LinesOverBar
-from skugga.api.cli.snapshot import Appearance, check_seconds, need_for_view
+from skugga.api.cli.snapshot import Look, check_seconds, need_for_view
 from skugga.api.cli.warnings import say_own_sun, say_warnings
 from skugga.api.device_calibration import calibration_for
 from skugga.api.film_files import check_film_path, film_files, write_film
@@ -71,7 +71,7 @@ def render_film(
     bounds: tuple[float, float, float, float] | None = None,
     crs: str | None = None,
     seconds: float | None = None,
-    look: Appearance = Appearance(),  # noqa: B008  # immutable
+    look: Look = (None, None),
     stats: Path | None = None,
 ) -> None:
     """Draw a film of a level into a file; all its frames are looked at before the first is drawn. Raises ``SkuggaError`` and

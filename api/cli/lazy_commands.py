@@ -19,6 +19,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "Render one snapshot of a level's view into a file; or a film, under a sun or along a path that moves.",
     ),
     "shade": ("shade:shade_raster", "Write the shade of a raster of any size, by default on its own grid."),
+    "compute": (
+        "compute:compute_raster",
+        "Compute any product of a level as a raster of any size, by default on its own grid.",
+    ),
     "seed": (
         "seed:seed",
         "Draw a level's tiles ahead, into an archive (PMTiles) or a folder. What was drawn is kept: the same command goes on, and "

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from skugga.api.cli.completion import complete_words
-from skugga.api.shadow_parameters import FunctionT, takes_settings
+from skugga.api.shown_parameters import FunctionT, takes_settings
 from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES
 from skugga.terrain.level.level import Shadows, parse_algorithm
 from skugga.terrain.level.setting import FrontEnd, Setting, settings_of

@@ -7,17 +7,21 @@ import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, cast
 
 import typer
 from rich import box
 from rich.console import Console
 
 from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.product_parameters import product_options
 from skugga.api.cli.progress import LinesOverBar
 from skugga.api.cli.tables import named_table
 from skugga.api.cli.times import TIME_WORD, paths_by_time, suns_of
 from skugga.api.matrices import ZoomRange
+from skugga.api.products import product_named
+from skugga.api.products.product import MapFormat
+from skugga.api.request import ProductRequest, RequestedSettings
 from skugga.api.seed.drawing import check_seeded_format
 from skugga.api.seed.local_pool import LocalPool, Runner
 from skugga.api.seed.messages import Drawn
@@ -28,7 +32,6 @@ from skugga.api.seed.seeding import Seeded, draw_and_publish, look_for_lost_shar
 from skugga.api.seed.storage import ShardStore, store_at
 from skugga.api.seed.task_table import TaskTable
 from skugga.api.workers.block_tiles import BLOCK_TILES
-from skugga.api.workers.jobs import RequestedSettings
 from skugga.selector.formatting import format_duration
 from skugga.terrain.cores import usable_cores
 from skugga.terrain.errors import InputError
@@ -80,12 +83,16 @@ def seed_level(level: LevelSource, options: SeedOptions, asked: dict[str, Any]) 
     suns = tuple(
         suns_of(parse_sun(options.time, options.azimuth, options.altitude), options.times, options.start, options.end, options.step)
     )
+    if len(suns) > 1 and product_named(options.layer).when == "none":
+        raise InputError("--layer", options.layer, "one that changes with the sun, beside several times")
     paths = paths_by_time(options.output, suns)
     for path in paths:
         check_output(path)
     check_targets(level, [("--output", path) for path in paths])
     level = level.model_copy(update={"path": level.path.resolve()})
-    request = SeedRequest(level, _zooms(options.zooms), suns, options.layer, options.format, RequestedSettings.of(asked))  # type: ignore[arg-type]
+    options_given, overrides = product_options(product_named(options.layer), asked)
+    wanted = ProductRequest(product=options.layer, options=options_given, overrides=RequestedSettings.of(overrides))
+    request = SeedRequest(level, _zooms(options.zooms), suns, wanted, cast(MapFormat, options.format))
     work = options.work or options.output.with_name(options.output.name.replace(TIME_WORD, "times") + ".seed")
     shards = options.shards or str(work.resolve() / "shards")
     store = store_at(shards)

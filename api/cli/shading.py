@@ -1,23 +1,26 @@
-"""``skugga shade``: from its options to files."""
+"""``skugga compute``, ``shade`` and ``sunhours``: from requests to files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.times import paths_by_time
 from skugga.api.cli.warnings import say_own_sun, say_reach_beside, say_warnings, say_written
+from skugga.api.compute import OnBlock, write_rasters
+from skugga.api.products.visibility import VISIBILITY
 from skugga.api.raster_file import RasterCells
-from skugga.api.shade import Bounds, raster_view, write_shade
-from skugga.api.shade_layers import SHADE_LAYERS
+from skugga.api.raster_view import Bounds, raster_view
+from skugga.api.request import ProductRequest
 from skugga.api.stac_item import read_stac_item
-from skugga.terrain.compiling.ahead import MAPS_OF_CASTERS, MASKS, PICTURES
+from skugga.terrain.compiling.ahead import MAPS_OF_CASTERS, MASKS, PICTURES, SUN_HOURS
 from skugga.terrain.compiling.hooks import need
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.covered_nodes import is_bare
-from skugga.terrain.level.level import load_level
+from skugga.terrain.level.level import load_level, spelt
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
@@ -25,40 +28,51 @@ from skugga.terrain.scene import build_scene
 SUFFIXES = ".tif", ".tiff"
 
 
-def shade_level(
+@dataclass(frozen=True)
+class RasterPlace:
+    """Which cells a raster has, as ``raster_view`` takes them; all ``None``: the level's own."""
+
+    bounds: Bounds | None = None
+    crs: str | None = None
+    resolution: float | None = None
+    like: Path | RasterCells | None = None
+
+
+def write_product(
     level: LevelSource,
     output: Path,
-    layer: str,
-    suns: Sequence[SunSpec | None],
-    bounds: Bounds | None,
-    crs: str | None,
-    resolution: float | None,
-    like: Path | RasterCells | None,
+    requests: Sequence[ProductRequest],
+    place: RasterPlace,
     overrides: dict[str, Any],
-    on_block: Callable[[int, int], None] | None = None,
-) -> list[Path]:
-    """Write a level's shade under some suns; the files. Raises ``SkuggaError`` and ``OSError``."""
-    if layer not in SHADE_LAYERS:
-        raise InputError("--layer", layer, ", ".join(SHADE_LAYERS))
+    on_step: OnBlock | None = None,
+    contours: tuple[Path, Sequence[float]] | None = None,
+) -> None:
+    """Write a product of a level by each of some requests, as rasters. Raises ``SkuggaError`` and ``OSError``."""
+    product, suns = requests[0].record, [request.sun for request in requests]
+    for name, value in overrides.items():
+        if value is not None and not product.needs:
+            said = spelt(value) if name == "algorithm" else value
+            raise InputError(f"--{name.replace('_', '-')}", said, f"nothing: {product.name} has no shadows")
     paths = files_of(output, suns)
-    check_targets(level, [("--output", path) for path in paths], like if isinstance(like, Path) else None)
-    need(MASKS if layer == "mask" else PICTURES)
-    loaded = load_level(level)
-    scene = build_scene(loaded)
-    if not is_bare(scene):
+    others = [] if contours is None else [("--contours", contours[0])]
+    like = place.like if isinstance(place.like, Path) else None
+    check_targets(level, [*(("--output", path) for path in paths), *others], like)
+    need(SUN_HOURS if product.when == "days" else MASKS if product.needs == VISIBILITY else PICTURES)
+    scene = build_scene(load_level(level))
+    if not is_bare(scene) and product.when != "days":
         need(MAPS_OF_CASTERS)
     say_warnings(scene)
     try:
-        raster = raster_view(scene, bounds, crs, resolution, like)
-        if like is not None:
+        raster = raster_view(scene, place.bounds, place.crs, place.resolution, place.like)
+        if place.like is not None:
             say_reach_beside(scene, raster)
-        if None in suns:
+        if product.when == "sun" and None in suns:
             say_own_sun(scene)
-        write_shade(scene, raster, layer, suns, paths, overrides, on_block)
-        say_written(paths, f"{layer}, {SHADE_LAYERS[layer].about}", raster)
+        write_rasters(scene, raster, requests, paths, overrides, on_step, contours)
+        about, unit = product.about_of(requests[0].options)
+        say_written(paths, f"{product.name}, {about}" + (f" ({unit})" if len(unit) > 1 or unit.isalpha() else ""), raster)
     finally:
         scene.close()
-    return paths
 
 
 def scene_of_item(

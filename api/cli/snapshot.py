@@ -1,18 +1,19 @@
-"""One snapshot: level -> scene -> descriptor -> plan -> frame, in this process."""
+"""One snapshot: level -> scene -> descriptor -> plan -> picture -> product, in this process."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from skugga.api.cli.warnings import say_own_sun, say_warnings
-from skugga.api.device_calibration import calibration_for
+from skugga.api.compute import Computed, compute, plan_for
+from skugga.api.encoding import ARRAY_FORMATS, as_picture, colored, encode_exactly
 from skugga.api.picture_cost import check_cost, time_limit_ms
-from skugga.selector.select import plan_of_view
-from skugga.shadows.passes import PassLayer
-from skugga.shadows.render import Frame, render_frame
+from skugga.api.request import ProductRequest
+from skugga.shadows.executed_effects import executed_effects
+from skugga.shadows.plan import Plan
 from skugga.terrain.compiling.ahead import MAPS_OF_CASTERS, PICTURES, VIEWS
 from skugga.terrain.compiling.hooks import need
 from skugga.terrain.errors import InputError
@@ -22,48 +23,62 @@ from skugga.terrain.level.level import LoadedLevel, load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
+from skugga.terrain.whole_files import write_whole
 
 MOST_SECONDS = 1e9
 """Of a level's clock, either way, as in level files."""
 
 
-class Appearance(NamedTuple):
-    """How a picture is to look; ``None``: as the level says."""
-
-    style: str | None = None
-    slope_exaggeration: float | None = None
+Look = tuple[str | None, float | None]
+"""A style by its name, and how slopes are exaggerated; ``None``: as the level says."""
 
 
-AS_THE_LEVEL_SAYS = Appearance()
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A computed view, and what computed it; ``plan`` is ``None`` where nothing was drawn."""
+
+    scene: Scene
+    view: MapView | PerspectiveView
+    plan: Plan | None
+    computed: Computed
+
+    def write(self, request: ProductRequest, path: Path) -> None:
+        """Write it as a file of the format that the suffix names; a GeoTIFF of a map view is georeferenced."""
+        product, format = request.record, path.suffix.lower().removeprefix(".")
+        array = colored(self.computed.array, product, request.options, self.scene.world, format)
+        if format not in ARRAY_FORMATS:
+            array = as_picture(array, product, self.computed.picture)
+        write_whole(path, encode_exactly(array, product, format, self.view))
 
 
 def snapshot(
     level: Path | LevelSource,
     view: str,
-    sun: SunSpec | None,
+    request: ProductRequest,
     overrides: dict[str, Any],
     size: tuple[int, int] | None = None,
     bounds: tuple[float, float, float, float] | None = None,
     crs: str | None = None,
     on_block: Callable[[int, int], None] | None = None,
     seconds: float | None = None,
-    layers: frozenset[PassLayer] = frozenset(),
-    look: Appearance = AS_THE_LEVEL_SAYS,
+    light: str | None = None,
     max_ms: float | None = None,
-) -> tuple[Scene, Frame]:
-    """The scene and the frame of a level's view, with intermediate ``layers``.
+    look: Look = (None, None),
+) -> Snapshot:
+    """Compute a product of a level's view.
 
-    Raises ``SkuggaError``, also where a block or a view is expected to take longer than ``max_ms``, or than a service would draw.
+    The sun is the request's, the style that of ``look``. Raises ``SkuggaError``, also where a block or a view is expected to take
+    longer than ``max_ms``, or than a service would draw.
     """
-    scene, view_value = scene_and_view(level, view, sun, size, bounds, crs, seconds)
-    if sun is None:
+    scene, view_value = scene_and_view(level, view, request.sun, size, bounds, crs, seconds)
+    if request.sun is None and request.record.when == "sun":
         say_own_sun(scene)
     scene = scene.with_style(*look)
-    device = calibration_for(scene.loaded.level.shadows, overrides)
-    plan = plan_of_view(scene, view_value, view, overrides, device=device)
-    most_ms = time_limit_ms() if max_ms is None else max_ms
-    check_cost(plan, "a block of the map" if isinstance(view_value, MapView) else "the view", most_ms, "--max-ms")
-    return scene, render_frame(scene, view_value, plan, on_block, layers)
+    plan = plan_for(scene, view_value, view, request.record, overrides)
+    if plan is not None:
+        most_ms = time_limit_ms() if max_ms is None else max_ms
+        check_cost(plan, "a block of the map" if isinstance(view_value, MapView) else "the view", most_ms, "--max-ms")
+    return Snapshot(scene, view_value, plan, compute(scene, view_value, request, plan, light, on_block))
 
 
 def scene_and_view(
@@ -99,22 +114,22 @@ def check_seconds(seconds: float | None) -> None:
         raise InputError("--seconds", seconds, f"seconds of the clock, {-MOST_SECONDS:g} to {MOST_SECONDS:g}")
 
 
-def statistics(scene: Scene, frame: Frame) -> dict[str, Any]:
-    """What ``--stats`` writes: plan, passes with milliseconds, caster reach, sun, view and device."""
+def statistics(found: Snapshot) -> dict[str, Any]:
+    """Return what ``--stats`` writes: plan, passes with milliseconds, caster reach, sun, view and device."""
     from skugga.terrain.gl import device as gl
 
-    used_gl = gl.is_open()
+    used_gl, sun, computed = gl.is_open(), found.scene.sun, found.computed
     return {
-        "level": scene.loaded.name,
-        "plan": frame.plan.model_dump(mode="json"),
-        "effects": sorted(frame.effects),
-        "passes": [asdict(record) for record in frame.passes],
-        "ms": sum(record.ms for record in frame.passes),
-        "caster_reach": asdict(frame.reach),
+        "level": found.scene.loaded.name,
+        "plan": None if found.plan is None else found.plan.model_dump(mode="json"),
+        "effects": sorted(executed_effects(computed.passes)),
+        "passes": [asdict(record) for record in computed.passes],
+        "ms": sum(record.ms for record in computed.passes),
+        "caster_reach": None if computed.reach is None else asdict(computed.reach),
         "sun": None
-        if scene.sun is None
-        else {"azimuth": scene.sun.azimuth_deg, "altitude": scene.sun.altitude_deg, "time": _iso(scene)},
-        "view": _view(frame.view),
+        if sun is None
+        else {"azimuth": sun.azimuth_deg, "altitude": sun.altitude_deg, "time": sun.time and sun.time.isoformat()},
+        "view": _view(found.view),
         "device": {"renderer": gl.device().renderer, "version": gl.device().version} if used_gl else None,
     }
 
@@ -124,7 +139,3 @@ def _view(view: MapView | PerspectiveView) -> dict[str, Any]:
     if isinstance(view, MapView):
         return {"crs": view.grid.crs.to_string(), "bounds": view.bounds, "size": size, "node_step": view.grid.step}
     return {"eye_earth_m": list(view.eye_earth_m), "focal_px": view.focal_px, "size": size}
-
-
-def _iso(scene: Scene) -> str | None:
-    return scene.sun.time.isoformat() if scene.sun and scene.sun.time else None

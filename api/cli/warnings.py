@@ -13,7 +13,7 @@ from skugga.terrain.errors import printable
 from skugga.terrain.scene import Scene
 
 if TYPE_CHECKING:
-    from skugga.api.shade import RasterView
+    from skugga.api.raster_view import RasterView
 
 
 def say_warnings(scene: Scene, with_objects: bool = True) -> None:
@@ -25,7 +25,7 @@ def say_warnings(scene: Scene, with_objects: bool = True) -> None:
 
 def say_reach_beside(scene: Scene, raster: RasterView) -> None:
     """Print a warning of a raster that reaches beyond the level, where its cells are empty."""
-    from skugga.api.shade import reach_beside
+    from skugga.api.raster_view import reach_beside
 
     if (text := reach_beside(scene, raster)) is not None:
         typer.echo(printable(f"skugga: warning: {text}"), err=True)

@@ -8,17 +8,20 @@ from dataclasses import dataclass
 from inspect import signature
 from typing import Annotated, Any, cast, get_args
 
+from annotated_types import MaxLen
 from fastapi import Depends, Query, Request
 from pydantic import BeforeValidator
+from pydantic.fields import FieldInfo
 
 from skugga.api.http.moments import PLAIN_DATE, asked_sun
 from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE, WHOLE_OR_WORD
 from skugga.api.http.state.service import service_of
-from skugga.api.layers import BETWEEN_LAYERS, LAYERS, MAP_LAYERS, PICTURE_LAYERS, ViewLayer
-from skugga.api.shadow_parameters import takes_settings
-from skugga.api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery, SunQuantity
-from skugga.api.workers.jobs import PictureRequest, RequestedSettings, ServedPolicy
-from skugga.terrain.errors import MISSING_VALUE, Fault, InputError
+from skugga.api.products import MAP_PRODUCTS, PRODUCTS, VIEW_PRODUCTS, product_named
+from skugga.api.products.product import Product
+from skugga.api.request import PictureRequest, ProductRequest, RequestedSettings
+from skugga.api.shown_parameters import FunctionT, takes_parameters, takes_settings
+from skugga.api.workers.jobs import ServedPolicy
+from skugga.terrain.errors import Fault, InputError
 from skugga.terrain.level.algorithm_names import served_algorithms
 from skugga.terrain.level.level import parse_algorithm
 from skugga.terrain.level.parts import StyleName, SunSpec
@@ -184,128 +187,98 @@ def check_pixels(size: tuple[int, int], max_pixels: int) -> None:
         raise InputError("size", f"{size[0]}x{size[1]}", allowed)
 
 
-@dataclass(frozen=True)
-class TileQuery:
-    """What is asked of tiles: a layer of a picture, or, with ``sun_hours``, hours of sun."""
-
-    layer: str
-    picture: PictureRequest
-    sun_hours: SunHoursQuery | None = None
-
-    def query(self) -> str:
-        """The same as a query string; empty where nothing is asked."""
-        if self.sun_hours is not None:
-            return f"layer={self.layer}&{self.sun_hours.query()}"
-        return self.picture.query(**({} if self.layer == "color" else {"layer": self.layer}))
-
-    def picture_query(self) -> str:
-        """What is asked besides the layer, as a query string; of heights nothing, for they hang on no light."""
-        if self.sun_hours is not None:
-            return self.sun_hours.query()
-        return self.picture.query() if LAYERS[self.layer].encoding is None else ""
-
-
-def _layers_in_words(names: Iterable[str]) -> str:
-    return "; ".join(f"`{name}` is {LAYERS[name].about}" for name in names)
+def _in_words(names: Iterable[str]) -> str:
+    return "; ".join(f"`{name}` is {PRODUCTS[name].about}" for name in names)
 
 
 LayerQuery = Annotated[
-    ViewLayer,
+    str,
     Query(
-        description=f"{_layers_in_words(PICTURE_LAYERS)}. What passes leave behind, as PNG, where the plan's algorithms have it: "
-        f"{_layers_in_words(BETWEEN_LAYERS)}.",
+        description=f"{_in_words(name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is None)}. What passes leave behind, "
+        "as PNG, where the plan's algorithms have it: "
+        f"{_in_words(name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is not None)}.",
+        json_schema_extra={"enum": [*VIEW_PRODUCTS]},
         examples=["mask"],
     ),
 ]
 
-TILE_LAYERS = (*MAP_LAYERS, SUN_HOURS_LAYER)
-"""Layers of tiles and maps."""
-
 TileLayerQuery = Annotated[
     str,
-    Query(
-        description=f"{_layers_in_words(MAP_LAYERS)}; `{SUN_HOURS_LAYER}` is how long the sun is seen on a `date`.",
-        json_schema_extra={"enum": [*TILE_LAYERS]},
-        examples=["shadow"],
-    ),
+    Query(description=f"{_in_words(MAP_PRODUCTS)}.", json_schema_extra={"enum": [*MAP_PRODUCTS]}, examples=["shadow"]),
 ]
 
 
-SunDateQuery = Annotated[
-    datetime.date | None,
-    PLAIN_DATE,
-    Query(description=f"For `{SUN_HOURS_LAYER}`: the date, as 2024-03-21.", examples=["2024-03-21"]),
-]
-QuantityQuery = Annotated[SunQuantity | None, Query(description=f"For `{SUN_HOURS_LAYER}`; default: `hours`.", examples=["first"])]
-WindowQuery = Annotated[
-    str | None, Query(max_length=20, description="Part of the date that counts, as 08:00-16:00.", examples=["08:00-16:00"])
-]
-SunClockQuery = Annotated[
-    str | None,
-    Query(
-        max_length=60,
-        description="By which date and window go: solar (the default), utc, +02:00 or Europe/Oslo.",
-        examples=["Europe/Oslo"],
-    ),
-]
-LeastAltitudeQuery = Annotated[
-    float | None,
-    PLAIN_DECIMAL,
-    Query(ge=-1.0, lt=90.0, allow_inf_nan=False, description="Of a sun that counts, degrees.", examples=[3]),
-]
+def _product_parameter(name: str) -> Any:
+    """An option of products as a query parameter."""
+    of = [product for product in MAP_PRODUCTS if name in served_options(PRODUCTS[product])]
+    field = served_options(PRODUCTS[of[0]])[name]
+    plain: Any = field.annotation
+    kinds = {*get_args(plain), plain}
+    readers = [reader for kind, reader in OPTION_READERS.items() if kind in kinds]
+    about = f"For {', '.join(f'`{product}`' for product in of)}. {field.description or ''}".rstrip()
+    limits: dict[str, Any] = {"allow_inf_nan": False} if float in kinds else {}
+    if str in kinds and not any(isinstance(each, MaxLen) for each in field.metadata):
+        limits["max_length"] = MAX_TEXT
+    query = Query(description=about, examples=field.examples or [], **limits)
+    return Annotated[(plain | None, *readers[:1], *field.metadata, query)]
 
 
-async def map_query(
-    request: Request,
-    picture: Annotated[PictureRequest, Depends(picture_query)],
-    layer: TileLayerQuery = "color",
-    date: SunDateQuery = None,
-    quantity: QuantityQuery = None,
-    window: WindowQuery = None,
-    clock: SunClockQuery = None,
-    least_altitude: LeastAltitudeQuery = None,
-) -> TileQuery:
-    """The dependency for maps, whose ``height`` is in pixels. Raises ``InputError``."""
-    return await tile_query(request, picture, layer, date, quantity, window, clock, None, least_altitude)
+OPTION_READERS: dict[type, BeforeValidator] = {datetime.date: PLAIN_DATE, int: PLAIN_WHOLE, float: PLAIN_DECIMAL}
+
+MAX_TEXT = 100
+"""Characters of an option that is a text."""
 
 
-async def tile_query(
-    request: Request,
-    picture: Annotated[PictureRequest, Depends(picture_query)],
-    layer: TileLayerQuery = "color",
-    date: SunDateQuery = None,
-    quantity: QuantityQuery = None,
-    window: WindowQuery = None,
-    clock: SunClockQuery = None,
-    height: Annotated[
-        float | None,
-        PLAIN_DECIMAL,
-        Query(ge=0.0, le=1000.0, allow_inf_nan=False, description="Metres above the ground.", examples=[1.7]),
-    ] = None,
-    least_altitude: LeastAltitudeQuery = None,
-) -> TileQuery:
-    """The dependency for tiles. Raises ``InputError``."""
-    asked = {
-        "date": date, "quantity": quantity, "window": window, "clock": clock, "height": height, "least_altitude": least_altitude,
-    }  # fmt: skip
-    given = {name: value for name, value in asked.items() if value is not None}
-    if layer != SUN_HOURS_LAYER:
-        if layer not in MAP_LAYERS:
-            raise InputError("layer", layer, ", ".join(TILE_LAYERS))
-        for name, value in given.items():
-            raise InputError(name, str(value), f"nothing but beside layer={SUN_HOURS_LAYER}")
-        return TileQuery(layer, picture.of_layer(layer))
-    for name in PICTURE_PARAMETERS:
-        if name in request.query_params:
-            raise InputError(name, request.query_params[name], f"nothing beside layer={SUN_HOURS_LAYER}: it is of a whole date")
-    if date is None:
-        raise InputError("date", MISSING_VALUE, f"a date beside layer={SUN_HOURS_LAYER}, as 2024-03-21")
-    return TileQuery(layer, picture, SunHoursQuery(**given))
+def served_options(product: Product) -> dict[str, FieldInfo]:
+    """Return the options of a product that HTTP takes."""
+    return {name: field for name, field in product.options.model_fields.items() if name not in product.options.UNSERVED}
 
 
-SUN_HOURS_PARAMETERS = tuple(SunHoursQuery.model_fields)
-TILE_PARAMETERS = ("layer", *PICTURE_PARAMETERS, *SUN_HOURS_PARAMETERS)
+PRODUCT_OPTIONS = tuple(dict.fromkeys(name for product in MAP_PRODUCTS for name in served_options(PRODUCTS[product])))
+"""Options of all products that HTTP serves as tiles and maps."""
+
+TILE_PARAMETERS = ("layer", *PICTURE_PARAMETERS, *PRODUCT_OPTIONS)
 """What may be asked of tiles."""
+
+
+def takes_options(*without: str) -> Callable[[FunctionT], FunctionT]:
+    """Decorate a dependency that takes ``**options``: it shows the options of all products, ``without`` some."""
+    parameters = [(name, _product_parameter(name)) for name in PRODUCT_OPTIONS if name not in without]
+    return takes_parameters(parameters)
+
+
+async def product_query(request: Request, picture: PictureRequest, layer: str, options: dict[str, Any]) -> ProductRequest:
+    """Return the request for a product of a map. Raises ``InputError``."""
+    product = product_named(layer, MAP_PRODUCTS)
+    given = {name: value for name, value in options.items() if value is not None}
+    for name, value in given.items():
+        if name not in product.options.model_fields:
+            of = [each for each in MAP_PRODUCTS if name in served_options(PRODUCTS[each])]
+            raise InputError(name, str(value), f"nothing but beside layer={' or '.join(of)}")
+    if product.when == "days":
+        for name in PICTURE_PARAMETERS:
+            if name in request.query_params:
+                raise InputError(name, request.query_params[name], f"nothing beside layer={layer}: it is of a whole date")
+    return ProductRequest(
+        product=layer, options=product.options_of({**product.options.UNSERVED, **given}), **dict(picture)
+    )  # fmt: skip
+
+
+@takes_options("width", "height")
+async def map_query(
+    request: Request, picture: Annotated[PictureRequest, Depends(picture_query)], layer: TileLayerQuery = "color", **options: Any
+) -> ProductRequest:
+    """The dependency for maps, whose ``height`` is in pixels. Raises ``InputError``."""
+    return await product_query(request, picture, layer, options)
+
+
+@takes_options()
+async def tile_query(
+    request: Request, picture: Annotated[PictureRequest, Depends(picture_query)], layer: TileLayerQuery = "color", **options: Any
+) -> ProductRequest:
+    """The dependency for tiles. Raises ``InputError``."""
+    return await product_query(request, picture, layer, options)
+
 
 ViewQuery = Annotated[
     str | None, Query(max_length=100, description="A view of the level; default: `map`, else its first one.", examples=["map"])

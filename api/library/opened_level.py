@@ -18,9 +18,9 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from skugga.api.catalogue import find_level
+from skugga.api.compute import compute, plan_for, raster_array
 from skugga.api.device_calibration import calibration_for
 from skugga.api.film_span import USUAL_FPS, film_span
-from skugga.api.layers import PASS_LAYERS, frame_layer
 from skugga.api.library.checked import (
     AltitudeDeg,
     AnyCrs,
@@ -44,27 +44,25 @@ from skugga.api.library.memory import check_memory
 from skugga.api.library.tile_service import TileService
 from skugga.api.point.report import around_point, point_report
 from skugga.api.point.values import PointQuery, PointReport
-from skugga.api.shade import RasterView, raster_view, shade_array
-from skugga.api.shade_layers import SHADE_LAYERS
-from skugga.api.sun_hours import sun_hours_array
+from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named
+from skugga.api.raster_view import RasterView, raster_view
+from skugga.api.request import ProductRequest
 from skugga.selector.film import film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
-from skugga.selector.select import plan_of_view
 from skugga.shadows.point.horizon import PointHorizon, horizon_round
-from skugga.shadows.render import render_frame
-from skugga.shadows.sun_hours.sun_hours import SunRules
 from skugga.terrain.errors import Fault, InputError
-from skugga.terrain.geo.clock import clock_named
-from skugga.terrain.geo.daily_windows import readings_of, windows_asked
 from skugga.terrain.level.camera_file import load_camera_path
-from skugga.terrain.level.level import load_level, parse_sun
+from skugga.terrain.level.level import Shadows, load_level, parse_sun
 from skugga.terrain.level.level_source import LevelSource, direction_named, units_named
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 
 ARRAY = "the array"
 """Name of a raster in memory in messages."""
+
+SHADED_PRODUCTS = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when == "sun")
+"""Products of the sun of a moment."""
 
 SMALLER_PART = "a part, as cells=np.s_[:4096, :4096]; or a file: `skugga shade` and `skugga sunhours` write rasters of any size"
 
@@ -144,11 +142,9 @@ class OpenLevel:
         ``algorithm="shadow_volume"``. Raises ``SkuggaError``.
         """
         scene = self._scene.with_sun(_sun(time, azimuth, altitude)).with_style(style, slope_exaggeration).at_second(seconds)
-        seen = scene.view(view, bounds, _named(crs), size)
-        device = calibration_for(scene.loaded.level.shadows, shadows)
-        plan = plan_of_view(scene, seen, view, shadows, device=device)
-        kept = frozenset(pass_layer for pass_layer in PASS_LAYERS if pass_layer == layer)
-        return frame_layer(scene, render_frame(scene, seen, plan, None, kept), layer)
+        product, seen = product_named(layer), scene.view(view, bounds, _named(crs), size)
+        plan = plan_for(scene, seen, view, product, shadows)
+        return compute(scene, seen, ProductRequest(product=layer), plan).array
 
     @checked
     def film(
@@ -203,16 +199,41 @@ class OpenLevel:
     ) -> np.ndarray:
         """A raster of shade on the level's own cells, those of ``like``, or square ones of a ``resolution`` in ``crs``.
 
-        It is one of ``skugga.api.shade_layers.SHADE_LAYERS``: (rows, cols), or (rows, cols, 4) of ``color`` and ``shadow``. The sun
-        is as in ``render``. ``cells`` are rows and columns of the level's own (``shape``), as ``np.s_[:512, 512:1024]``.
+        ``layer`` is ``mask``, ``visibility``, ``cosi``, ``color`` or ``shadow``. Arrays are (rows, cols), or (rows, cols, 4) of the
+        last two. The sun is as in ``render``. ``cells`` are rows and columns of the level's own (``shape``), as
+        ``np.s_[:512, 512:1024]``.
 
         Raises ``SkuggaError``, also for arrays that do not fit into memory.
         """
-        if layer not in SHADE_LAYERS:
-            raise InputError("layer", layer, ", ".join(SHADE_LAYERS))
-        made = SHADE_LAYERS[layer]
-        raster = self._raster(bounds, crs, resolution, like, cells, np.dtype(made.dtype).itemsize * made.bands)
-        return shade_array(self._scene, raster, layer, _sun(time, azimuth, altitude), shadows)
+        product_named(layer, SHADED_PRODUCTS)
+        request = ProductRequest(product=layer, sun=_sun(time, azimuth, altitude))
+        return self._computed(request, (bounds, crs, resolution, like, cells), shadows)
+
+    @checked
+    def compute(
+        self,
+        product: str,
+        *,
+        time: Time | None = None,
+        azimuth: AzimuthDeg | None = None,
+        altitude: AltitudeDeg | None = None,
+        bounds: Bounds | None = None,
+        crs: AnyCrs | None = None,
+        resolution: Resolution | None = None,
+        like: Path | None = None,
+        cells: Cells | None = None,
+        **options: Any,
+    ) -> np.ndarray:
+        """Compute any product as a raster (rows, cols) or (rows, cols, bands), by its name: ``mask``, ``height``, ``sunhours``, ...
+
+        ``options`` are those of the product, as ``date="2024-03-21"`` of ``sunhours``; of one that shows shadows also the keys of a
+        level's ``shadows``. Sun and cells are as in ``shade``. Raises ``SkuggaError``, also for arrays that do not fit into memory.
+        """
+        named = product_named(product, RASTER_PRODUCTS, "product")
+        shadows = {name: value for name, value in options.items() if named.needs and name in Shadows.model_fields}
+        own = {name: value for name, value in options.items() if name not in shadows}
+        request = ProductRequest(product=product, options=named.options_of(own), sun=_sun(time, azimuth, altitude))
+        return self._computed(request, (bounds, crs, resolution, like, cells), shadows)
 
     @checked
     def sun_hours(
@@ -243,12 +264,12 @@ class OpenLevel:
         the sun is looked for every ``step_min`` minutes (``None``: as often as hours need to be right on that ground), and
         crossings in between are found. Cells are as in ``shade``. Raises ``SkuggaError``.
         """
-        first = cast(datetime.date, date)
-        last = first if to is None else cast(datetime.date, to)
-        windows = windows_asked(self._scene.world, first, last, every_days, readings_of(window), clock_named("clock", clock))
-        rules = SunRules(step_min, threshold_h, least_altitude, height)
-        raster = self._raster(bounds, crs, resolution, like, cells, np.dtype(np.float32).itemsize)
-        return sun_hours_array(self._scene, raster, windows, rules, quantity)
+        options = {
+            "date": date, "to": to, "every_days": every_days, "window": window, "clock": clock, "quantity": quantity,
+            "step_min": step_min, "threshold_h": threshold_h, "least_altitude": least_altitude, "height": height,
+        }  # fmt: skip
+        request = ProductRequest(product="sunhours", options=product_named("sunhours").options_of(options))
+        return self._computed(request, (bounds, crs, resolution, like, cells), {})
 
     @checked
     def point(
@@ -303,6 +324,17 @@ class OpenLevel:
             url=said["tiles"][0], name=self.name, attribution=said.get("attribution", ""), max_zoom=24,
             min_zoom=said["minzoom"], max_native_zoom=said["maxzoom"],
         )  # fmt: skip
+
+    def _computed(
+        self,
+        request: ProductRequest,
+        place: tuple[Bounds | None, CRS | None, float | None, Path | None, tuple[slice, slice] | None],
+        shadows: dict[str, Any],
+    ) -> np.ndarray:
+        """Compute a raster by a request."""
+        product = request.record
+        raster = self._raster(*place, np.dtype(product.dtype).itemsize * product.bands)
+        return raster_array(self._scene, raster, request, shadows)
 
     def _raster(
         self,

@@ -5,22 +5,23 @@ from __future__ import annotations
 import resource
 import sys
 import time as clock
+from collections.abc import Mapping
 
 from pmtiles.tile import zxy_to_tileid
 
-from skugga.api.layers import LAYERS, MapFormat, nodata_height_m
+from skugga.api.compute import compute, draw_picture
+from skugga.api.products import SEEDED_PRODUCTS, product_named
+from skugga.api.products.product import PICTURE_FORMATS
 from skugga.api.seed.archive import ShardIndex
 from skugga.api.seed.messages import Drawn, Task
 from skugga.api.seed.run_spec import MATRIX_SET, RunSpec
 from skugga.api.seed.storage import ShardStore
-from skugga.api.workers.block_tiles import BLOCK_TILES, cut_tiles, empty_tile, encoded_part
-from skugga.api.workers.drawn_blocks import block_of_grid, drawn_block, grid_of_zoom
-from skugga.api.workers.map_jobs import heights_picture
+from skugga.api.workers.block_tiles import BLOCK_TILES, Place, empty_tile, tiles_of_array, tiles_of_picture
+from skugga.api.workers.block_views import block_of_grid, grid_of_zoom
 from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS
 from skugga.terrain.compiling.hooks import need
 from skugga.terrain.errors import InputError
 from skugga.terrain.gbuffer.bare_ground import forget_ground_before
-from skugga.terrain.geo.grid import TILE_PX
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
 
@@ -55,38 +56,31 @@ class Drawer:
 
 
 def tiles_of_task(scene: Scene, spec: RunSpec, task: Task) -> tuple[dict[int, bytes], float]:
-    """The tiles of a task that show any data, by tile id, and how long writing their files took, seconds."""
-    view, encoding = block_of_grid(grid_of_zoom(MATRIX_SET, task.zoom), task.x, task.y), LAYERS[spec.layer].encoding
-    tiles: dict[tuple[int, int], bytes] = {}
-    if encoding is not None:
-        heights = heights_picture(scene, view, encoding)
+    """Return the tiles of a task that show any data, by tile id, and how long writing their files took, seconds."""
+    view, request = block_of_grid(grid_of_zoom(MATRIX_SET, task.zoom), task.x, task.y), spec.request(task.sun)
+    product, plan = request.record, spec.plan_by_place.get((task.sun, task.zoom))
+    files: Mapping[Place, bytes | None]
+    if plan is not None and not product.reach_px:
+        picture = draw_picture(scene, view, product, plan)
         start = clock.perf_counter()
-        nothing = empty_tile(spec.layer, spec.format, 1, nodata_height_m(scene.height_range_m[0]))
-        cut = cut_tiles(heights, spec.layer, spec.format, 1, view)
-        tiles = {place: body for place, body in cut.items() if body != nothing}
+        files = tiles_of_picture(picture, request, scene, view, spec.format)
     else:
-        block, _ = drawn_block(scene, view, spec.plan_by_place[task.sun, task.zoom], spec.layer)
+        array = compute(scene, view, request, plan).array
         start = clock.perf_counter()
-        for row in range(BLOCK_TILES):
-            for col in range(BLOCK_TILES):
-                part = block.part(row * TILE_PX, col * TILE_PX, TILE_PX)
-                if part.there.any():
-                    tiles[row, col] = encoded_part(part, spec.layer, spec.format)
+        files = tiles_of_array(array, request, scene.world, view, spec.format)
+        nothing = empty_tile(request, spec.format, 1, scene.height_range_m[0])
+        files = {place: None if body == nothing else body for place, body in files.items()}
     side = 2**task.zoom
-    places = {(task.y * BLOCK_TILES + row, task.x * BLOCK_TILES + col): body for (row, col), body in tiles.items()}
+    places = {
+        (task.y * BLOCK_TILES + row, task.x * BLOCK_TILES + col): body for (row, col), body in files.items() if body is not None
+    }
     by_id = {zxy_to_tileid(task.zoom, x, y): body for (y, x), body in places.items() if x < side and y < side}
     return dict(sorted(by_id.items())), clock.perf_counter() - start
 
 
-FORMATS: tuple[MapFormat, ...] = ("png", "webp", "jpg")
-"""Formats that archives of tiles have a name for, of those that tiles are served in."""
-
-
 def check_seeded_format(layer: str, format: str) -> None:
-    """Raise ``InputError`` where pyramids of a layer have no such format."""
-    if layer not in LAYERS or not any(each in LAYERS[layer].map_formats for each in FORMATS):
-        layers = [name for name, each in LAYERS.items() if set(each.map_formats) & set(FORMATS)]
-        raise InputError("--layer", layer, ", ".join(layers))
-    formats = [each for each in FORMATS if each in LAYERS[layer].map_formats]
+    """Raise ``InputError`` where pyramids of a product have no such format."""
+    product = product_named(layer, SEEDED_PRODUCTS, "--layer")
+    formats = [each for each in PICTURE_FORMATS if each in product.map_formats]
     if format not in formats:
         raise InputError("--format", format, f"{', '.join(formats)} for layer {layer}")

@@ -11,7 +11,6 @@ from pmtiles.tile import zxy_to_tileid
 
 from skugga.api.device_calibration import calibration
 from skugga.api.file_stamps import Stamp, file_stamps, level_version, watched_files
-from skugga.api.layers import LAYERS, MapFormat, MapLayer
 from skugga.api.matrices import (
     OVERZOOMS,
     LonLatBounds,
@@ -22,14 +21,16 @@ from skugga.api.matrices import (
     tile_limits,
     zoom_range,
 )
+from skugga.api.products.product import MapFormat
+from skugga.api.request import PictureRequest, ProductRequest
 from skugga.api.seed.archive import first_tile_id
 from skugga.api.seed.identity import digest_of_json, ground_of, level_digest, plan_digest
 from skugga.api.seed.reached_ground import ReachedGround
 from skugga.api.seed.run_spec import MATRIX_SET, PlannedZoom, RunSpec
 from skugga.api.seed.task_table import KeyParts, PlannedTask, TaskTable
 from skugga.api.workers.block_tiles import BLOCK_TILES
-from skugga.api.workers.drawn_blocks import block_of_grid
-from skugga.api.workers.jobs import LevelKey, PictureRequest, RequestedSettings, Tiles
+from skugga.api.workers.block_views import block_of_grid
+from skugga.api.workers.jobs import LevelKey, Tiles
 from skugga.api.workers.map_plans import plan_in_service
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.worker_state import tiles_view
@@ -59,15 +60,14 @@ EMPTY_SHARE = 0.05
 @dataclass(frozen=True)
 class SeedRequest:
     """What is asked for: a level, zooms (``None``: from the one that shows all of it to the one of its cells), suns (``None``: the
-    level's own), a layer in a format, and shadow settings.
+    level's own), a product and what is asked of it whatever the sun, and a format.
     """
 
     level: LevelSource
     zooms: ZoomRange | None
     suns: tuple[SunSpec | None, ...]
-    layer: MapLayer
+    asked: ProductRequest
     format: MapFormat
-    overrides: RequestedSettings = RequestedSettings()
 
 
 @dataclass(frozen=True)
@@ -138,8 +138,8 @@ def _planned(
     table.put(asked=b"")  # whatever ends this now, it is done again
     say("Reading the ground")
     ground = ReachedGround(scene, ground_of(loaded, scene, table))
-    encoded, overrides = LAYERS[request.layer].encoding is not None, request.overrides
-    asked = [level_digest(loaded, scene, table), request.layer, request.format, overrides.model_dump(mode="json")]
+    product, overrides = request.asked.record, request.asked.overrides
+    asked = [level_digest(loaded, scene, table), request.format, request.asked.model_dump(mode="json")]
     # Colours are stretched over the level's heights, and lines towards the sun are placed at their middle.
     drawn_by, heights = digest_of_json([RENDERER_VERSION, renderer]), digest_of_json(scene.height_range_m)
     planner = _Planner(table, loaded, LevelKey(**{**request.level.model_dump(), "version": version}), overrides.for_selector())
@@ -149,11 +149,11 @@ def _planned(
         here, settings = ground.under(seen), digest_of_json([*asked, None if sun else _own_sun(scene)])
         for zoom in range(zooms.first, zooms.last + 1):
             say(f"Planning zoom {zoom}" + (f" under sun {number + 1} of {len(suns)}" if len(suns) > 1 else ""))
-            plan = None if encoded else planner.plan(seen, name, zoom)
+            plan = planner.plan(seen, name, zoom) if product.needs else None
             if plan is not None:
                 plans.append(PlannedZoom(sun=number, zoom=zoom, plan=plan.model_dump_json()))
             grid, blocks = tile_grid(matrix_set_of(MATRIX_SET), zoom), blocks_of_zoom(zoom, bounds)
-            digests = here.digests(grid, blocks, plan, request.layer == "color")
+            digests = here.digests(grid, blocks, plan, product.is_display)
             shares = here.shares_on_data(grid, blocks)
             whole_s, planned = _seconds_of_whole(plan, zoom, measured), plan_digest(plan)
             for (x, y), digest, on_data in zip(blocks, digests, shares, strict=True):
@@ -161,8 +161,8 @@ def _planned(
                 tasks.append(PlannedTask(name, zoom, x, y, first_tile_of_block(zoom, x, y), parts, share, whole_s * share))
     table.want(tasks)
     return RunSpec(
-        level=request.level, ground=version, renderer=renderer, layer=request.layer, format=request.format, overrides=overrides,
-        suns=request.suns, plans=tuple(plans),
+        level=request.level, ground=version, renderer=renderer, asked=request.asked, format=request.format, suns=request.suns,
+        plans=tuple(plans),
     )  # fmt: skip
 
 

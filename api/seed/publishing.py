@@ -96,7 +96,7 @@ def _stamp(output: Path) -> str:
 def _facts(run: PlannedRun, sun: str) -> ArchiveFacts:
     spec, level = run.spec, run.loaded.level
     title = level.title or run.loaded.name
-    query = spec.request(run.sun_names.index(sun)).query()
+    query = spec.request(run.sun_names.index(sun)).product_query()
     metadata: dict[str, Any] = {
         "name": title, "description": f"{title}: {spec.layer}, shaded by Skugga", "attribution": level.attribution,
         "type": "overlay" if spec.layer == "shadow" else "baselayer", "version": "1",

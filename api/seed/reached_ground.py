@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skugga.api.seed.ground_chunks import CHUNK_DIGEST_BYTES, GroundChunks
-from skugga.api.workers.drawn_blocks import block_of_grid
+from skugga.api.workers.block_views import block_of_grid
 from skugga.shadows.ground_pictures import SKY_PASS
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import ALGORITHMS

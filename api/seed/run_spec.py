@@ -6,8 +6,8 @@ from functools import cached_property
 
 from pydantic import BaseModel, ConfigDict
 
-from skugga.api.layers import MapFormat, MapLayer
-from skugga.api.workers.jobs import PictureRequest, RequestedSettings
+from skugga.api.products.product import MapFormat
+from skugga.api.request import ProductRequest
 from skugga.shadows.plan import Plan
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
@@ -32,7 +32,7 @@ class PlannedZoom(BaseModel):
 
 
 class RunSpec(BaseModel):
-    """A run: a level, a layer and its format, suns (``None``: the level's own), shadow settings, and the plans, made once.
+    """A run: a level, what is asked of it under suns (``None``: the level's own), a format, and the plans, made once.
 
     ``renderer`` is what the plans were made for: a worker that draws with another one is refused. ``ground`` is the version of
     the level's files.
@@ -43,15 +43,19 @@ class RunSpec(BaseModel):
     level: LevelSource
     ground: str
     renderer: str
-    layer: MapLayer
+    asked: ProductRequest
     format: MapFormat
-    overrides: RequestedSettings
     suns: tuple[SunSpec | None, ...]
     plans: tuple[PlannedZoom, ...]
 
-    def request(self, sun: int) -> PictureRequest:
-        """What the same picture is asked for in a service."""
-        return PictureRequest(sun=self.suns[sun], overrides=self.overrides)
+    @property
+    def layer(self) -> str:
+        """The product by its name."""
+        return self.asked.product
+
+    def request(self, sun: int) -> ProductRequest:
+        """The request that a service has the same tiles for."""
+        return self.asked.under(self.suns[sun])
 
     @cached_property
     def plan_by_place(self) -> dict[tuple[int, int], Plan]:

@@ -11,7 +11,7 @@ import math
 from skugga.api.errors import LaterError
 from skugga.api.settings import Settings
 from skugga.api.workers.job_queue import JobQueue
-from skugga.api.workers.jobs import BlockJob, Job, MapJob, SunHoursJob
+from skugga.api.workers.jobs import BlockJob, Job, MapJob
 
 TILE_SIDE_PX = 1024
 """A map that is no larger is a tile of clients that tile maps of any extent (WMS)."""
@@ -24,7 +24,7 @@ def is_tile(job: Job) -> bool:
     """Whether a map of many pictures has a hole where this one is refused."""
     if isinstance(job, MapJob):
         return max(job.size) <= TILE_SIDE_PX
-    return isinstance(job, BlockJob | SunHoursJob)
+    return isinstance(job, BlockJob)
 
 
 def check_admission(queue: JobQueue, job: Job, client: str, now_s: float, settings: Settings, is_ready: bool = True) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 
+from skugga.api.request import ProductRequest
 from skugga.api.workers.jobs import (
     BlockJob,
     DescribedPlanJob,
@@ -16,17 +17,19 @@ from skugga.api.workers.jobs import (
     PointJob,
     PointsJob,
     SnapshotJob,
-    SunHoursJob,
 )
 from skugga.terrain.cache import MIB, Cache, Missing
 
 FIRST_GUESS_S: dict[type, float] = {
-    BlockJob: 0.5, SunHoursJob: 3.0, PlanJob: 0.5, DescribedPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, MapJob: 2.5,
+    BlockJob: 0.5, PlanJob: 0.5, DescribedPlanJob: 0.1, DescriptorJob: 0.5, SnapshotJob: 2.5, MapJob: 2.5,
     PointJob: 0.1, PointsJob: 1.0, FilmCheckJob: 0.5, FrameJob: 2.5,
 }  # fmt: skip
 """Seconds of a job of which nothing is known yet, of a snapshot, map or frame of ``USUAL_PX``: with a software rasteriser on two
 cores.
 """
+
+FIRST_GUESS_OF_DAYS_S = 3.0
+"""The same of a block of tiles of many suns."""
 
 USUAL_PX = 1280 * 1024
 
@@ -50,7 +53,7 @@ class ExpectedTimes:
     def of(self, job: Job) -> float:
         """Seconds that a job is expected to take."""
         known = self._known(job)
-        return (FIRST_GUESS_S[type(job)] if known is None else known) * _size_of(job)
+        return (_first_guess_s(job) if known is None else known) * _size_of(job)
 
     def is_light(self, job: Job) -> bool:
         """Whether jobs of its kind were done before, and took little."""
@@ -72,6 +75,15 @@ class ExpectedTimes:
         return None
 
 
+def _first_guess_s(job: Job) -> float:
+    return FIRST_GUESS_OF_DAYS_S if isinstance(job, BlockJob) and _is_of_days(job) else FIRST_GUESS_S[type(job)]
+
+
+def _is_of_days(job: Job) -> bool:
+    """Whether a job computes a product of whole dates."""
+    return isinstance(job.request, ProductRequest) and job.request.record.when == "days"
+
+
 def _keys_of(job: Job) -> tuple[Hashable, Hashable]:
     """What times of a job are kept by, the finest first."""
     kind = kind_of_job(job)
@@ -79,15 +91,15 @@ def _keys_of(job: Job) -> tuple[Hashable, Hashable]:
 
 
 def _variant_of(job: Job) -> Hashable:
-    """What of a job changes its time, besides its kind: the scale, the layer, and how many bytes are encoded."""
-    return tuple(getattr(job, name, None) for name in ("matrix_set", "zoom", "layer", "format", "tiles"))
+    """What of a job changes its time, besides its kind: the product, the scale, and how many bytes are encoded."""
+    product = job.request.product if isinstance(job.request, ProductRequest) else None
+    return product, *(getattr(job, name, None) for name in ("matrix_set", "zoom", "format", "tiles"))
 
 
 def kind_of_job(job: Job) -> Hashable:
     """Jobs of one kind take about as long: those of a version of a level for which the same is asked of the shadows."""
     level = None if isinstance(job, DescribedPlanJob) else (str(job.level.path), job.level.version)
-    of_a_date = isinstance(job, MapJob) and job.sun_hours is not None
-    return type(job).__name__, level, job.request.overrides.asked, getattr(job, "view", None), of_a_date
+    return type(job).__name__, level, job.request.overrides.asked, getattr(job, "view", None), _is_of_days(job)
 
 
 def _size_of(job: Job) -> float:

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
-from urllib.parse import urlencode
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, InstanceOf, field_validator
+from pydantic import BaseModel, ConfigDict, InstanceOf
 
 from skugga.api.errors import OUTCOMES
-from skugga.api.layers import MapFormat, MapLayer, PictureFormat, ViewLayer
 from skugga.api.point.values import PointQuery, TrackPoint
-from skugga.api.sun_hours_layer import SunHoursQuery
+from skugga.api.products.product import MapFormat, PictureFormat
+from skugga.api.request import PictureRequest, ProductRequest
 from skugga.selector.film_request import FilmRequest, FilmSpan
 from skugga.terrain.errors import InputError, RenderError, SkuggaError
 from skugga.terrain.level.camera_file import CameraPathSpec
-from skugga.terrain.level.level import Shadows, override, parse_algorithm
 from skugga.terrain.level.level_source import LevelSource
-from skugga.terrain.level.parts import PerspectiveSpec, SlopeExaggeration, StyleName, SunSpec
+from skugga.terrain.level.parts import PerspectiveSpec
 
 if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
     from skugga.selector.map_probes import MapClass
     from skugga.selector.replanning import PlanState
-    from skugga.terrain.scene import Scene
 
 ServedPolicy = Literal["rules", "predict"]
 """Policies that a request may name; ``measure`` takes minutes, at design time."""
@@ -35,62 +31,6 @@ class _Value(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class RequestedSettings(_Value):
-    """What a request asks of the shadows: keys of a level's ``shadows`` and their values, in the order of the keys there.
-
-    ``algorithm`` is as the query spells it. A key that is not asked for is not among them: the level has its say. What else a
-    request asks is a field of ``PictureRequest``.
-    """
-
-    asked: tuple[tuple[str, Any], ...] = ()
-
-    @classmethod
-    def of(cls, asked: Mapping[str, Any]) -> RequestedSettings:
-        """Of keys and values; ``None`` asks for nothing. Raises ``InputError``."""
-        ordered = {**dict.fromkeys(Shadows.model_fields), **asked}
-        return cls(asked=tuple((key, value) for key, value in ordered.items() if value is not None))
-
-    @field_validator("asked")
-    @classmethod
-    def _allowed(cls, asked: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
-        override(Shadows(), _unspelt(asked))
-        return asked
-
-    def for_selector(self) -> dict[str, Any]:
-        """As policies of ``skugga.selector.select`` take them."""
-        return _unspelt(self.asked)
-
-
-def _unspelt(asked: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    return {key: parse_algorithm(value) if key == "algorithm" else value for key, value in asked}
-
-
-class PictureRequest(_Value):
-    """What a request asks whatever the view: of the sun (``None``: the level's own), of how it looks (likewise) and of the shadows.
-
-    Jobs carry it whole, and entity tags and caches of plans know all of it: a field more needs nothing but its line in
-    ``seen``.
-    """
-
-    sun: SunSpec | None = None
-    style: StyleName | None = None
-    slope_exaggeration: SlopeExaggeration | None = None
-    overrides: RequestedSettings = RequestedSettings()
-
-    def of_layer(self, layer: str) -> PictureRequest:
-        """The same for a layer: all but colours look alike in every style."""
-        return self if layer == "color" else self.model_copy(update={"style": None, "slope_exaggeration": None})
-
-    def query(self, **more: str) -> str:
-        """The same as a query string, with other parameters before it; empty where nothing is asked."""
-        own = self.model_dump(mode="json", exclude_none=True, exclude={"overrides"})
-        return urlencode({**more, **own.pop("sun", {}), **own, **dict(self.overrides.asked)})
-
-    def seen(self, scene: Scene) -> Scene:
-        """A level's scene as the request wants to see it."""
-        return scene.with_sun(self.sun).with_style(self.style, self.slope_exaggeration)
-
-
 class LevelKey(LevelSource):
     """What a level is loaded from, and a version that changes with its text and the files that it names."""
 
@@ -98,7 +38,7 @@ class LevelKey(LevelSource):
 
 
 class BlockJob(_Value):
-    """Draw a block of 4 x 4 tiles (1024 x 1024 px) and encode a layer of it: block (x, y) of a tile matrix counts from its corner.
+    """Compute a block of 4 x 4 tiles (1024 x 1024 px) and encode it: block (x, y) of a tile matrix counts from its corner.
 
     ``tiles``: each picture shows so many tiles a side.
     """
@@ -108,10 +48,9 @@ class BlockJob(_Value):
     zoom: int
     block_x: int
     block_y: int
-    layer: MapLayer = "color"
     format: MapFormat = "png"
     tiles: int = 1
-    request: PictureRequest = PictureRequest()
+    request: ProductRequest = ProductRequest()
 
 
 class Tiles(_Value):
@@ -147,39 +86,24 @@ class DescribedPlanJob(_Value):
 
 
 class SnapshotJob(_Value):
-    """Draw a level's view, or another one that is ``seen_from`` elsewhere, and encode one layer of it.
+    """Compute a level's view, or another one that is ``seen_from`` elsewhere, and encode it.
 
     ``size`` is (width, height) in pixels, ``seconds`` what the level's clock says; ``None`` leaves either to the level.
-    ``light`` is the one whose visibility the layer shows, ``None`` the first.
+    ``light`` is the one whose visibility is shown, ``None`` the first.
     """
 
     level: LevelKey
     view: str
     seen_from: PerspectiveSpec | None = None
-    layer: ViewLayer
     format: PictureFormat
     size: tuple[int, int] | None = None
     light: str | None = None
     seconds: float | None = None
-    request: PictureRequest = PictureRequest()
-
-
-class SunHoursJob(_Value):
-    """Find the hours of sun in a block of tiles, which is as in ``BlockJob``, and encode pictures of them."""
-
-    level: LevelKey
-    matrix_set: str
-    zoom: int
-    block_x: int
-    block_y: int
-    format: MapFormat = "png"
-    tiles: int = 1
-    query: SunHoursQuery
-    request: PictureRequest = PictureRequest()
+    request: ProductRequest = ProductRequest()
 
 
 class MapJob(_Value):
-    """Draw a map of any extent of a level and encode a layer of it, or with ``sun_hours`` the hours of sun there.
+    """Compute a map of any extent of a level and encode it.
 
     ``bounds`` are west, south, east, north in units of ``crs``, ``None`` the level's own; ``size`` is (width, height) in pixels.
     What is transparent shows a ``background`` (``RRGGBB``), if there is one.
@@ -189,11 +113,9 @@ class MapJob(_Value):
     bounds: tuple[float, float, float, float] | None
     crs: str | None
     size: tuple[int, int]
-    layer: MapLayer | Literal["sunhours"]
     format: MapFormat
     background: str | None = None
-    sun_hours: SunHoursQuery | None = None
-    request: PictureRequest = PictureRequest()
+    request: ProductRequest = ProductRequest()
 
 
 PointProduct = Literal["report", "horizon", "sky"]
@@ -257,7 +179,7 @@ class FrameJob(Film):
 
 
 Job = (
-    BlockJob | SunHoursJob | MapJob | PlanJob | DescribedPlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
+    BlockJob | MapJob | PlanJob | DescribedPlanJob | DescriptorJob | SnapshotJob | PointJob | PointsJob
     | FilmCheckJob | FrameJob
 )  # fmt: skip
 

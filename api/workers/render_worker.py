@@ -1,6 +1,6 @@
 """A render process: it owns the one OpenGL context, takes jobs over a pipe and answers with values.
 
-It is started by ``spawn`` and draws with ``render_frame`` like anyone else. It ends when its pipe is closed.
+It is started by ``spawn`` and computes products like anyone else. It ends when its pipe is closed.
 """
 
 from __future__ import annotations
@@ -15,14 +15,11 @@ from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
-import numpy as np
-
+from skugga.api.compute import compute, draw_picture
 from skugga.api.device_calibration import calibration
-from skugga.api.layers import LAYERS, PASS_LAYERS, encode_picture, frame_layer, viewable
+from skugga.api.encoding import as_picture, encode_exactly
 from skugga.api.picture_cost import check_cost
-from skugga.api.sun_hours_layer import SUN_HOURS_LAYER, sun_hours_picture
-from skugga.api.workers.block_tiles import cut_tiles, encoded_tiles
-from skugga.api.workers.drawn_blocks import drawn_block
+from skugga.api.workers.block_tiles import Place, empty_tile, tiles_of_array, tiles_of_picture
 from skugga.api.workers.film_jobs import film_picture, first_plan
 from skugga.api.workers.jobs import (
     Answer,
@@ -49,10 +46,9 @@ from skugga.api.workers.jobs import (
     Result,
     Snapshot,
     SnapshotJob,
-    SunHoursJob,
     Tiles,
 )
-from skugga.api.workers.map_jobs import HEIGHTS, drawn_map, heights_picture
+from skugga.api.workers.map_jobs import map_file
 from skugga.api.workers.map_plans import plan_in_service, unprobed_class
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.point_jobs import point_answer, points_answer
@@ -62,10 +58,10 @@ from skugga.api.workers.worker_config import WorkerConfig
 from skugga.api.workers.worker_state import MAX_SCENES, WorkerState, block_view, plan_of_tiles, tiles_view
 from skugga.selector.choices import StandaloneRequest
 from skugga.selector.select import select
-from skugga.shadows.ground_pictures import ShownMap
+from skugga.shadows.passes import PassRecord
 from skugga.shadows.plan import Plan
-from skugga.shadows.render import Frame, render_frame
 from skugga.terrain.cache import Missing
+from skugga.terrain.casters.reach import Reach
 from skugga.terrain.compiled import CORES
 from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS, compile_ahead
 from skugga.terrain.compiling.farm import missing_tasks
@@ -108,9 +104,6 @@ def run_job(job: Job, state: WorkerState) -> Result:
             return points_answer(job, scene)
         case BlockJob():
             return _block_tiles(job, scene, state)
-        case SunHoursJob():
-            picture = partial(sun_hours_picture, scene, block_view(job), job.query)
-            return _pictured_tiles(job, SUN_HOURS_LAYER, state, picture)
         case MapJob():
             return _map(job, scene, state)
         case FilmCheckJob():
@@ -124,13 +117,11 @@ def run_job(job: Job, state: WorkerState) -> Result:
             view = scene.view(job.view, size=job.size) if job.seen_from is None else scene.view_from(job.seen_from, job.size)
             plan = plan_in_service(scene, view, job.view, overrides, job.level, state.basis)
             _check_cost(plan, f"{view.cols}x{view.rows}", state)
-            frame = render_frame(scene, view, plan, layers=PASS_LAYERS & {job.layer})
+            computed = compute(scene, view, job.request, plan, job.light)
             start = clock.perf_counter()
-            array = frame_layer(scene, frame.under(job.light), job.layer)
-            body = encode_picture(viewable(job.layer, array, frame.color), f".{job.format}")
-            return Snapshot(
-                body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **_facts(frame.plan, frame, state, job.level)
-            )
+            body = encode_exactly(as_picture(computed.array, job.request.record, computed.picture), job.request.record, job.format)
+            facts = _facts(plan.headline, computed.passes, computed.reach, state, job.level)
+            return Snapshot(body=body, encode_ms=(clock.perf_counter() - start) * 1000.0, **facts)
 
 
 def product_of(job: Job, scene: Scene) -> str:
@@ -138,7 +129,7 @@ def product_of(job: Job, scene: Scene) -> str:
     match job:
         case PointJob() | PointsJob():
             return POINTS
-        case SunHoursJob():
+        case BlockJob() | MapJob() if job.request.record.when == "days":
             return SUN_HOURS
         case SnapshotJob() | FrameJob() | FilmCheckJob() if _is_perspective(job, scene):
             return VIEWS
@@ -166,60 +157,66 @@ def _check_cost(plan: Plan, subject: str, state: WorkerState) -> None:
 
 
 def _block_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
-    encoding = LAYERS[job.layer].encoding
-    if encoding is not None:
-        return _pictured_tiles(job, HEIGHTS, state, lambda: heights_picture(scene, block_view(job), encoding))
-    points = LAYERS[job.layer].of_points
+    product = job.request.record
+    if not product.needs or product.reach_px:
+        return _tiles_of_array(job, scene, state)
     version = state.basis.version_of(job.level)
-    key = job.level, version, job.matrix_set, job.zoom, job.block_x, job.block_y, job.request, points
+    key = job.level, version, job.matrix_set, job.zoom, job.block_x, job.block_y, job.request.picture, product.needs
     kept = state.blocks.get(*key)
+    is_new = isinstance(kept, Missing)
     if isinstance(kept, Missing):
-        plan = plan_of_tiles(job, scene, state)
-        _check_cost(plan, f"a block of {BLOCK_PX}x{BLOCK_PX}", state)
-        block, shown = drawn_block(scene, block_view(job), plan, job.layer)
-        overrides = job.request.overrides.for_selector()
-        unprobed = unprobed_class(scene, block_view(job), overrides, job.level, state.basis)
-        kept = block, {**_facts(plan, shown, state, job.level), "unprobed": unprobed}
+        plan = _checked_plan(job, scene, state)
+        picture = draw_picture(scene, block_view(job), product, plan)
+        kept = picture, _block_facts(job, plan, picture.passes, picture.reach, scene, state)
         state.blocks.put(*key, value=kept)
-        drawn = True
-    else:
-        drawn = False
-    block, facts = kept
+    picture, facts = kept
     start = clock.perf_counter()
-    tiles = encoded_tiles(block, job.layer, job.format, job.tiles, block_view(job))
-    return BlockTiles(tiles=tiles, encode_ms=(clock.perf_counter() - start) * 1000.0, drawn=drawn, **facts)
+    tiles = tiles_of_picture(picture, job.request, scene, block_view(job), job.format, job.tiles)
+    files = {place: body or empty_tile(job.request, job.format, job.tiles) for place, body in tiles.items()}
+    return BlockTiles(tiles=files, encode_ms=(clock.perf_counter() - start) * 1000.0, drawn=is_new, **facts)
 
 
-def _pictured_tiles(job: BlockJob | SunHoursJob, name: str, state: WorkerState, picture: Callable[[], np.ndarray]) -> BlockTiles:
-    """Tiles of a block's picture that no one sun drew."""
-    start = clock.perf_counter()
-    drawn = picture()
+def _tiles_of_array(job: BlockJob, scene: Scene, state: WorkerState) -> BlockTiles:
+    """The tiles of a product whose whole block is computed before it is cut."""
+    product, start = job.request.record, clock.perf_counter()
+    product.check(scene)
+    plan = _checked_plan(job, scene, state) if product.needs else None
+    computed = compute(scene, block_view(job), job.request, plan)
     found = clock.perf_counter()
-    layer = job.layer if isinstance(job, BlockJob) else SUN_HOURS_LAYER
-    tiles = cut_tiles(drawn, layer, job.format, job.tiles, block_view(job))
-    return BlockTiles(
-        tiles=tiles, encode_ms=(clock.perf_counter() - found) * 1000.0, headline=name,
-        passes=((name, (found - start) * 1000.0),), reach_used_m=None, reach_needed_m=None, reach_clipped=False,
-        renderer=state.renderer, plan_version=state.basis.version_of(job.level),
-    )  # fmt: skip
+    tiles: dict[Place, bytes] = tiles_of_array(computed.array, job.request, scene.world, block_view(job), job.format, job.tiles)
+    if plan is None:
+        whole = (PassRecord(product.name, (found - start) * 1000.0),)
+        facts = _facts(product.name, whole, None, state, job.level)
+    else:
+        facts = _block_facts(job, plan, computed.passes, computed.reach, scene, state)
+    return BlockTiles(tiles=tiles, encode_ms=(clock.perf_counter() - found) * 1000.0, **facts)
+
+
+def _checked_plan(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
+    """The plan of a block. Raises ``TooCostlyError``."""
+    plan = plan_of_tiles(job, scene, state)
+    _check_cost(plan, f"a block of {BLOCK_PX}x{BLOCK_PX}", state)
+    return plan
+
+
+def _block_facts(
+    job: BlockJob, plan: Plan, passes: Sequence[PassRecord], reach: Reach | None, scene: Scene, state: WorkerState
+) -> dict[str, Any]:
+    """What a block says of what drew it, and whether a probe would correct its plan."""
+    unprobed = unprobed_class(scene, block_view(job), job.request.overrides.for_selector(), job.level, state.basis)
+    return {**_facts(plan.headline, passes, reach, state, job.level), "unprobed": unprobed}
 
 
 def _map(job: MapJob, scene: Scene, state: WorkerState) -> Snapshot:
     overrides = job.request.overrides.for_selector()
 
     def plan_of(scale: Hashable, part: MapView) -> Plan:
-        key = job.level, state.basis.version_of(job.level), job.crs, scale, job.request
+        key = job.level, state.basis.version_of(job.level), job.crs, scale, job.request.picture
         return state.plans.get(key, lambda: plan_in_service(scene, part, "map", overrides, job.level, state.basis))
 
-    drawn = drawn_map(scene, job, plan_of)
-    reach = drawn.reach
-    return Snapshot(
-        body=drawn.body, encode_ms=drawn.encode_ms, headline=drawn.headline,
-        passes=tuple((record.name, record.ms) for record in drawn.passes),
-        reach_used_m=None if reach is None else reach.used_m, reach_needed_m=None if reach is None else reach.needed_m,
-        reach_clipped=reach is not None and bool(reach.clipped), renderer=state.renderer,
-        plan_version=state.basis.version_of(job.level),
-    )  # fmt: skip
+    made = map_file(scene, job, plan_of)
+    facts = _facts(made.headline, made.passes, made.reach, state, job.level)
+    return Snapshot(body=made.body, encode_ms=made.encode_ms, **facts)
 
 
 def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, str]:
@@ -227,12 +224,13 @@ def _seen(scene: Scene, view: str | Tiles) -> tuple[MapView | PerspectiveView, s
     return (tiles_view(scene, view), "map") if isinstance(view, Tiles) else (scene.view(view), view)
 
 
-def _facts(plan: Plan, frame: Frame | ShownMap, state: WorkerState, level: LevelKey) -> dict[str, Any]:
-    """What a picture says of what drew it."""
+def _facts(headline: str, passes: Sequence[PassRecord], reach: Reach | None, state: WorkerState, level: LevelKey) -> dict[str, Any]:
+    """What a picture says of what drew it; the reach is ``None`` where no one sun did."""
     return {
-        "headline": plan.headline, "passes": tuple((record.name, record.ms) for record in frame.passes),
+        "headline": headline, "passes": tuple((record.name, record.ms) for record in passes),
         "renderer": state.renderer, "plan_version": state.basis.version_of(level),
-        "reach_used_m": frame.reach.used_m, "reach_needed_m": frame.reach.needed_m, "reach_clipped": bool(frame.reach.clipped),
+        "reach_used_m": None if reach is None else reach.used_m, "reach_needed_m": None if reach is None else reach.needed_m,
+        "reach_clipped": reach is not None and bool(reach.clipped),
     }  # fmt: skip
 
 

@@ -6,17 +6,12 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from skugga.api.workers.block_tiles import PicturedBlock
-from skugga.api.workers.drawn_blocks import block_of_grid, grid_of_zoom
-from skugga.api.workers.jobs import (
-    BlockJob,
-    LevelKey,
-    SunHoursJob,
-    Tiles,
-)
+from skugga.api.workers.block_views import block_of_grid, grid_of_zoom
+from skugga.api.workers.jobs import BlockJob, LevelKey, Tiles
 from skugga.api.workers.map_plans import plan_in_service
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.process_life import resident_bytes
+from skugga.shadows.picture import Picture
 from skugga.shadows.plan import Plan
 from skugga.terrain.cache import MIB, Cache, Missing
 from skugga.terrain.casters.slopes import extent_on_grid
@@ -92,7 +87,7 @@ class TilePlanCache:
         return plan
 
 
-DrawnAndFacts = tuple[PicturedBlock, dict[str, Any]]
+DrawnAndFacts = tuple[Picture, dict[str, Any]]
 """A block and what is said of what drew it."""
 
 
@@ -117,7 +112,7 @@ class WorkerState:
         return self.basis.device
 
 
-def block_view(job: BlockJob | SunHoursJob) -> MapView:
+def block_view(job: BlockJob) -> MapView:
     """The view of a block: its pixels are the tile matrix's own."""
     return block_of_grid(grid_of_zoom(job.matrix_set, job.zoom), job.block_x, job.block_y)
 
@@ -137,4 +132,4 @@ def plan_of_tiles(job: BlockJob, scene: Scene, state: WorkerState) -> Plan:
         overrides = job.request.overrides.for_selector()
         return plan_in_service(scene, tiles_view(scene, tiles), "map", overrides, job.level, state.basis)
 
-    return state.plans.get((job.level, state.basis.version_of(job.level), tiles, job.request), make)
+    return state.plans.get((job.level, state.basis.version_of(job.level), tiles, job.request.picture), make)

@@ -24,7 +24,7 @@ from benchmarks.sun_questions.sun_paths import (
     r_sun_path,
     suncalc,
 )
-from skugga.api.shade import raster_view
+from skugga.api.raster_view import raster_view
 from skugga.shadows.sun_hours.suns import WindowSun, window_suns
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.geo.daily_windows import daily_window

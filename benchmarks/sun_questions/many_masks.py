@@ -15,8 +15,8 @@ from benchmarks.peers.tools import Tool, ToolJob, ToolRun, run_process, tools_of
 from benchmarks.sun_hours_accuracy import CellRays
 from benchmarks.sun_questions.asking import SKUGGA_COMMAND, QuestionDem
 from benchmarks.sun_questions.figures import SunAnswer
-from skugga.api.layers import MASK_LIT
-from skugga.api.shade import raster_view
+from skugga.api.products.mask import MASK_LIT
+from skugga.api.raster_view import raster_view
 from skugga.terrain.gbuffer.bare_nodes import bare_nodes
 from skugga.terrain.geo.sun import direction_enu
 from skugga.terrain.geo.sun_path import sun_path

@@ -75,7 +75,7 @@ def point(path: str, out: str, x: str, y: str) -> float:
     """Skugga's horizon in 720 directions, after that of another place: the level is open, its loops are compiled."""
     import numpy as np
 
-    from skugga.api.shade import raster_view
+    from skugga.api.raster_view import raster_view
     from skugga.shadows.point.horizon import horizon_round, surroundings
     from skugga.shadows.point.place import place_at
     from skugga.terrain.level.level import load_level

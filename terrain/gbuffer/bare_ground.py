@@ -38,7 +38,8 @@ class BareGround:
     beside which there is none.
 
     ``height_m`` float32 (r, c); ``normal_frame`` float32 (r, c, 3), the smooth unit normal; ``up_frame`` float32 (r, c, 3), the
-    unit vector up; ``sky_share`` float32 (r, c), how much of the sky is seen; all four mean something where there is ground.
+    unit vector away from the earth's centre; ``sky_share`` float32 (r, c), how much of the sky is seen; all four mean something
+    where there is ground.
     """
 
     view: MapView

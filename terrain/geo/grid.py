@@ -12,7 +12,7 @@ two themselves (there the powers are the zooms), from one unit of the CRS and fr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 from pyproj import CRS
@@ -36,6 +36,19 @@ TILE_LADDERS = {3857: "WebMercatorQuad", 4326: "WGS1984Quad"}
 
 
 FloatOrArray = TypeVar("FloatOrArray", float, np.ndarray)
+
+PixelWindow = tuple[slice, slice]
+"""Rows and columns of a picture."""
+
+
+class Sized(Protocol):
+    """A view, or whatever else has rows and columns of pixels."""
+
+    @property
+    def rows(self) -> int: ...
+
+    @property
+    def cols(self) -> int: ...
 
 
 @dataclass(frozen=True)
@@ -248,6 +261,15 @@ def blocks_of(view: MapView) -> list[tuple[MapView, int, int]]:
             cols = BLOCK_PX if view.on_nodes else min(BLOCK_PX, view.cols - col)
             blocks.append((view.part(row, col, rows, cols), row, col))
     return blocks
+
+
+def windows_of(view: Sized, block: Sized, row: int, col: int) -> tuple[PixelWindow, PixelWindow]:
+    """Return the rows and columns of a view that a block covers, and the same ones counted in the block.
+
+    ``row`` and ``col`` are the view's row and column of the block's first pixel, as in ``blocks_of``.
+    """
+    inside = (slice(max(row, 0), min(row + block.rows, view.rows)), slice(max(col, 0), min(col + block.cols, view.cols)))
+    return inside, (slice(inside[0].start - row, inside[0].stop - row), slice(inside[1].start - col, inside[1].stop - col))
 
 
 def _snapped(start: float, step: float, count: int) -> tuple[float, float]:

@@ -23,6 +23,7 @@ from skugga.api.http.server.app import create_app
 from skugga.api.http.server.bounded_headers import BoundedHeaders
 from skugga.api.http.server.server import Server, log_config
 from skugga.api.http.state.service import Service
+from skugga.api.request import ProductRequest
 from skugga.api.seed.archive import ArchiveFacts, ShardIndex, write_archive
 from skugga.api.settings import Settings
 from skugga.api.workers.block_tiles import empty_tile
@@ -60,7 +61,7 @@ def write_level(folder: Path, name: str, crs: str = "EPSG:3857", **keys) -> Path
     return path
 
 
-PNG = empty_tile("shadow", "png")
+PNG = empty_tile(ProductRequest(product="shadow"), "png")
 
 
 def write_tiles(

@@ -13,11 +13,12 @@ from affine import Affine
 from pyproj import CRS, Geod, Transformer
 from rasterio.errors import NotGeoreferencedWarning
 
-from skugga.api.layers import MASK_LIT, MASK_SHADOW
-from skugga.api.shade import raster_view, write_shade
+from skugga.api.products.mask import MASK_LIT, MASK_SHADOW
+from skugga.api.raster_view import raster_view
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import build_scene
+from tests.products import write_shade
 
 SIDE, HALF, HEIGHT_M, CELL_M = 101, 2, 60.0, 10.0
 ALTITUDE_DEG = 15.0
@@ -80,7 +81,7 @@ def mask_of(source: Path, output: Path, azimuth: float, altitude: float = ALTITU
     """The mask on a raster's own cells."""
     scene = build_scene(load_level(source))
     try:
-        write_shade(scene, raster_view(scene), "mask", [SunSpec(azimuth=azimuth, altitude=altitude)], [output], {})
+        write_shade(scene, raster_view(scene), "mask", [SunSpec(azimuth=azimuth, altitude=altitude)], [output])
     finally:
         scene.close()
     with rasterio.open(output) as made, rasterio.open(source) as own:

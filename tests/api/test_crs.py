@@ -17,10 +17,9 @@ from pyproj.enums import PJType
 from pyproj.exceptions import CRSError, ProjError
 
 import skugga
-from skugga.api.layers import MASK_NO_SURFACE, MASK_SHADOW
-from skugga.api.shade import raster_view, shade_array, write_shade
-from skugga.api.sun_hours import write_sun_hours
-from skugga.shadows.sun_hours.sun_hours import SunRules
+from skugga.api.compute import write_rasters
+from skugga.api.products.mask import MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.raster_view import raster_view
 from skugga.terrain.errors import InputError, SourceError, UnsupportedError
 from skugga.terrain.geo.clock import clock_named
 from skugga.terrain.geo.daily_windows import readings_of, windows_asked
@@ -29,6 +28,7 @@ from skugga.terrain.level.level import load_level, parse_sun
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 from tests.api.crs_towers import ALTITUDE_DEG, AZIMUTHS_DEG, SIDE, fall_of, mask_of, plain_with_tower, write_plain
+from tests.products import shade_array, sun_hours_of, write_shade
 from tests.rasters import write_geotiff
 
 BEARING_DEG, LENGTH_M = 2.0, 15.0
@@ -76,7 +76,7 @@ def faults_of(folder: Path, crs: CRS, lon: float, lat: float, azimuths: tuple[fl
     write_plain(source, crs, lon, lat, places, geod)
     found, scene = [], opened(source)
     for azimuth in azimuths:
-        mask = shade_array(scene, raster_view(scene), "mask", SunSpec(azimuth=azimuth, altitude=ALTITUDE_DEG), {})
+        mask = shade_array(scene, raster_view(scene), "mask", SunSpec(azimuth=azimuth, altitude=ALTITUDE_DEG))
         fall = fall_of(mask, source, crs, azimuth, places, geod)
         if abs(fall.bearing_off_deg) > BEARING_DEG or abs(fall.length_off_m) > LENGTH_M or fall.dark_rim:
             found.append(f"{crs.name}, azimuth {azimuth}: {fall}")
@@ -199,7 +199,7 @@ def test_other_maps_show_the_same_shadow(tmp_path, code, lon, lat):
     write_plain(tmp_path / "tower.vrt", CRS.from_user_input(code), lon, lat)
     scene = opened(tmp_path / "tower.vrt")
     own, sun = mask_of(tmp_path / "tower.vrt", tmp_path / "own.tif", 110.0), SunSpec(azimuth=110.0, altitude=15.0)
-    write_shade(scene, raster_view(scene, crs="EPSG:4326"), "mask", [sun], [tmp_path / "map.tif"], {})
+    write_shade(scene, raster_view(scene, crs="EPSG:4326"), "mask", [sun], [tmp_path / "map.tif"])
     with rasterio.open(tmp_path / "map.tif") as dataset:
         mask, cell = dataset.read(1), dataset.res
     area_m2 = (mask == MASK_SHADOW).sum() * cell[0] * cell[1] * 111_195.0**2 * np.cos(np.radians(lat))
@@ -312,7 +312,7 @@ def test_masks_lie_on_turned_cells(tmp_path, flipped):
 def test_like_takes_turned_cells(tmp_path, flipped):
     turned, upright, flip = flipped
     scene, sun = opened(upright), SunSpec(azimuth=200.0, altitude=15.0)
-    write_shade(scene, raster_view(scene, like=turned), "mask", [sun], [tmp_path / "like.tif"], {})
+    write_shade(scene, raster_view(scene, like=turned), "mask", [sun], [tmp_path / "like.tif"])
     with rasterio.open(tmp_path / "like.tif") as made, rasterio.open(turned) as own:
         assert (made.transform, made.shape, made.crs) == (own.transform, own.shape, own.crs)
         np.testing.assert_array_equal(made.read(1), flip(mask_of(upright, tmp_path / "mask.tif", 200.0)))
@@ -323,8 +323,8 @@ def test_sun_hours_lie_on_turned_cells(tmp_path, flipped):
     found = {}
     for path in (turned, upright):
         scene = opened(path)
-        windows = windows_asked(scene.world, DAY, DAY, 1, readings_of("10:00-12:00"), clock_named("clock", "solar"))
-        write_sun_hours(scene, raster_view(scene), windows, SunRules(step_min=60.0), {"hours": tmp_path / "hours.tif"})
+        hours = sun_hours_of(date=DAY, window="10:00-12:00", step_min=60.0)
+        write_rasters(scene, raster_view(scene), [hours], [tmp_path / "hours.tif"])
         with rasterio.open(tmp_path / "hours.tif") as made, rasterio.open(path) as own:
             assert (made.transform, made.shape) == (own.transform, own.shape)
             found[path] = made.read(1)
@@ -348,7 +348,7 @@ def test_a_part_of_turned_cells_is_cut_from_the_whole(tmp_path, flipped):
     scene, sun = opened(turned), SunSpec(azimuth=200.0, altitude=15.0)
     whole = mask_of(turned, tmp_path / "mask.tif", 200.0)
     bounds = 5e5 + 200.0, 5.3e6 + 300.0, 5e5 + 600.0, 5.3e6 + 900.0
-    write_shade(scene, raster_view(scene, bounds=bounds), "mask", [sun], [tmp_path / "part.tif"], {})
+    write_shade(scene, raster_view(scene, bounds=bounds), "mask", [sun], [tmp_path / "part.tif"])
     with rasterio.open(tmp_path / "part.tif") as part, rasterio.open(turned) as own:
         offset = ~own.transform @ part.transform
         col, row = round(offset.c), round(offset.f)

@@ -10,6 +10,7 @@ from skugga.api.cli import snapshot as snapshot_module
 from skugga.api.errors import TooCostlyError
 from skugga.api.picture_cost import check_cost, remedy, soft_lamps
 from skugga.api.report.plan_text import format_expectation
+from skugga.api.request import ProductRequest
 from skugga.shadows.plan import Plan, Predicted
 from skugga.terrain.scene import Scene
 from tests.render import plan_of
@@ -46,12 +47,11 @@ def test_beyond_the_bound_it_is_refused(lit: tuple[Scene, Plan]):
 def test_a_command_refuses_what_a_service_does_unless_told(lit: tuple[Scene, Plan], monkeypatch: pytest.MonkeyPatch):
     scene, plan = lit
     monkeypatch.setattr(snapshot_module, "scene_and_view", lambda *asked: (scene, scene.view("eye")))
-    monkeypatch.setattr(snapshot_module, "plan_of_view", lambda *asked, **more: plan)
-    monkeypatch.setattr(snapshot_module, "calibration_for", lambda *asked: None)
-    monkeypatch.setattr(snapshot_module, "render_frame", lambda *asked: "drawn")
+    monkeypatch.setattr(snapshot_module, "plan_for", lambda *asked: plan)
+    monkeypatch.setattr(snapshot_module, "compute", lambda *asked: "drawn")
     path = scene.loaded.path
     with pytest.raises(TooCostlyError, match=r"the view .* at most 60 s \(--max-ms\)"):
-        snapshot_module.snapshot(path, "eye", None, {})
-    assert snapshot_module.snapshot(path, "eye", None, {}, max_ms=70_000.0)[1] == "drawn"
+        snapshot_module.snapshot(path, "eye", ProductRequest(), {})
+    assert snapshot_module.snapshot(path, "eye", ProductRequest(), {}, max_ms=70_000.0).computed == "drawn"
     monkeypatch.setenv("SKUGGA_RENDER_TIMEOUT_S", "70")
-    assert snapshot_module.snapshot(path, "eye", None, {})[1] == "drawn"
+    assert snapshot_module.snapshot(path, "eye", ProductRequest(), {}).computed == "drawn"

@@ -10,12 +10,13 @@ import pytest
 import rasterio
 from affine import Affine
 
-from skugga.api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
-from skugga.api.shade import raster_view, write_shade
+from skugga.api.products.mask import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.raster_view import raster_view
 from skugga.terrain.errors import InputError, SourceError
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
+from tests.products import write_shade
 from tests.rasters import ENGINEERING, write_geotiff
 
 LOW = SunSpec(azimuth=250.0, altitude=12.0)
@@ -40,7 +41,7 @@ def opened(raster: Path) -> Scene:
 
 def written(scene: Scene, folder: Path, layer: str = "mask", sun: SunSpec | None = LOW, **where) -> tuple[np.ndarray, Path]:
     path = folder / f"{layer}.tif"
-    write_shade(scene, raster_view(scene, **where), layer, [sun], [path], {})
+    write_shade(scene, raster_view(scene, **where), layer, [sun], [path])
     with rasterio.open(path) as dataset:
         return dataset.read().squeeze(), path
 
@@ -56,7 +57,7 @@ def test_a_mask_lies_on_the_rasters_own_cells(scene, tmp_path):
 
 def test_it_is_what_pictures_say_of_the_same_points(gl, scene, tmp_path, monkeypatch):
     quick, _ = written(scene, tmp_path)
-    monkeypatch.setattr("skugga.shadows.sunlit_ground.sunlit_ground", lambda *_: None)
+    monkeypatch.setattr("skugga.shadows.draw.sunlit_picture", lambda *_: None)
     slow, _ = written(scene, tmp_path)
     assert 0.1 < (slow == MASK_SHADOW).mean() < 0.6
     np.testing.assert_array_equal(quick, slow)
@@ -135,7 +136,7 @@ def test_many_times_in_one_run_are_as_each_by_itself(scene, tmp_path):
     suns = [SunSpec(time=datetime(2024, 3, 21, hour, tzinfo=UTC)) for hour in (6, 9, 15, 23)]
     paths = [tmp_path / f"{n}.tif" for n in range(4)]
     told: list[tuple[int, int]] = []
-    write_shade(scene, raster_view(scene), "mask", suns, paths, {}, lambda done, total: told.append((done, total)))
+    write_shade(scene, raster_view(scene), "mask", suns, paths, lambda done, total: told.append((done, total)))
     assert told == [(n, 4) for n in range(1, 5)]
     for sun, path in zip(suns, paths, strict=True):
         alone, _ = written(scene, tmp_path, sun=sun)
@@ -160,7 +161,7 @@ def test_what_fails_leaves_what_was_there(scene, tmp_path, monkeypatch):
     def fail(*_):
         raise SourceError("hills.tif", "gone", "a raster")
 
-    monkeypatch.setattr("skugga.shadows.sunlit_ground.sunlit_ground", fail)
+    monkeypatch.setattr("skugga.shadows.draw.sunlit_picture", fail)
     with pytest.raises(SourceError):
         written(scene, tmp_path)
     assert path.read_bytes() == before

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from skugga.api.layers import MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.products.mask import MASK_NO_SURFACE, MASK_SHADOW
 from skugga.api.stac_item import read_stac_item
 from skugga.terrain.errors import InputError
 from tests.rasters import write_geotiff

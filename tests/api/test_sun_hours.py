@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, date
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +15,16 @@ from rasterio.warp import transform as warped
 
 from benchmarks.sweep_speed import mountains
 from skugga.api import contour_lines
-from skugga.api import sun_hours as module
+from skugga.api.compute import write_rasters
 from skugga.api.contour_lines import write_contours
-from skugga.api.shade import raster_view
-from skugga.api.sun_hours import sun_blocks, write_sun_hours
-from skugga.shadows.sun_hours.sun_hours import SunRules
+from skugga.api.products import PRODUCTS
+from skugga.api.products import sun_hours as module
+from skugga.api.products.sun_hours import sun_blocks
+from skugga.api.raster_view import raster_view
 from skugga.terrain.errors import InputError
-from skugga.terrain.geo.daily_windows import daily_window
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import Scene, build_scene
+from tests.products import sun_hours_of
 from tests.rasters import write_geotiff
 
 CELL_M = 30.0
@@ -38,11 +39,9 @@ def scene(tmp_path: Path):
 
 def written(scene: Scene, folder: Path, quantity: str = "hours", step: float = 30.0, **where) -> tuple[np.ndarray, Path]:
     path = folder / f"{quantity}.tif"
-    window = daily_window(date(2024, 3, 21), 0.0, 1440.0, UTC, scene.world)
     seen: list[tuple[int, int]] = []
-    write_sun_hours(
-        scene, raster_view(scene, **where), [window], SunRules(step_min=step), {quantity: path}, lambda *done: seen.append(done)
-    )
+    request = sun_hours_of(date=date(2024, 3, 21), clock="utc", quantity=quantity, step_min=step)
+    write_rasters(scene, raster_view(scene, **where), [request], [path], on_step=lambda *done: seen.append(done))
     assert seen[-1][0] == seen[-1][1] and sorted(seen) == seen
     with rasterio.open(path) as dataset:
         return dataset.read(1), path
@@ -97,9 +96,8 @@ def test_objects_cast_their_shadow_too(gl, tmp_path):
     with_house = build_scene(load_level(level))
     hours, _ = written(with_house, tmp_path, step=60.0)
     with pytest.raises(InputError, match="height"):
-        window = daily_window(date(2024, 3, 21), 0.0, 1440.0, UTC, with_house.world)
-        path = {"hours": tmp_path / "a.tif"}
-        write_sun_hours(with_house, raster_view(with_house), [window], SunRules(height_m=1.5), path)
+        request = sun_hours_of(date=date(2024, 3, 21), clock="utc", height=1.5)
+        write_rasters(with_house, raster_view(with_house), [request], [tmp_path / "a.tif"])
     with_house.close()
     assert hours[50, 5] == pytest.approx(12.1, abs=0.3)  # far to the south: the whole day
     assert hours[26, 30] < 8.0  # just north of the house
@@ -130,6 +128,6 @@ def test_contours_end_at_holes_and_may_be_none(tmp_path):
     assert write_contours(raster, [99.0], tmp_path / "none.gpkg") == 0
 
 
-def test_a_quantity_that_there_is_not_is_told(scene, tmp_path):
-    with pytest.raises(InputError, match="hours, first, last, longest, days"):
-        written(scene, tmp_path, "minutes")
+def test_a_quantity_that_there_is_not_is_told():
+    with pytest.raises(InputError, match="quantity: 'minutes'.*'hours', 'first', 'last', 'longest' or 'days'"):
+        PRODUCTS["sunhours"].options_of({"date": "2024-03-21", "quantity": "minutes"})

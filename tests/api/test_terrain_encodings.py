@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skugga.api.layers import encoded_heights, nodata_height_m
+from skugga.api.products.heights import encoded_heights, nodata_height_m
 from skugga.api.terrain_encodings import terrain_rgb, terrarium
 
 

@@ -12,6 +12,7 @@ import rasterio
 from PIL import Image
 
 from skugga.api.cli.snapshot import snapshot
+from skugga.api.request import ProductRequest
 from skugga.terrain.gl.egl_devices import NO_OPENGL
 from tests.api.conftest import CORNER, SUN, ZOOM, Client, write_level
 from tests.api.http.test_problems import check_problem
@@ -69,9 +70,9 @@ def test_the_command_line_draws_what_needs_none(level: Path, environment: dict[s
     assert done.returncode == 0, done.stderr
     by_map, mask, *need_it, doctor = map(json.loads, done.stdout.splitlines())
     assert by_map == mask == [0, "", ""]
-    _, frame = snapshot(level, "map", None, {}, size=(200, 200))
+    color = snapshot(level, "map", ProductRequest(), {}, size=(200, 200)).computed.array
     with Image.open(drawn) as picture:
-        assert picture.convert("RGB").tobytes() == frame.color.tobytes(), "as with OpenGL"
+        assert picture.convert("RGB").tobytes() == color[..., :3].tobytes(), "as with OpenGL"
     with rasterio.open(shaded) as dataset:
         assert 0.02 < float((dataset.read(1) < 128).mean()) < 0.98
     for status, said, wrong in need_it:

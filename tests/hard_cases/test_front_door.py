@@ -22,7 +22,7 @@ from PIL import Image
 
 from skugga.api.cli import main as cli
 from skugga.api.http.server.app import create_app
-from skugga.api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.products.mask import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
 from skugga.api.settings import Settings
 from skugga.terrain.errors import printable
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level

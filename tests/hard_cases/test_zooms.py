@@ -26,7 +26,7 @@ def share_of_shadow(trial: Trial, scene: Scene, side_px: int, zooms_below: int) 
     assert isinstance(view, MapView) and view.on_nodes
     plan = make_plan(describe(scene, view), scene.loaded.level, {"algorithm": trial.algorithm})
     # A block of the view's own size: without the rest of the blocks that tiles are cut from.
-    block = render._render_block(scene, view, plan, PassLog(), "means")
+    block = render.render_block(scene, view, plan, PassLog(), "means")
     return 1.0 - float(np.nanmean(block.visibility))
 
 

@@ -15,7 +15,7 @@ from skugga.selector.film import FilmFrame, film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest, FilmSpan
 from skugga.selector.planner.planner import make_plan
 from skugga.selector.replanning import MOST_CHANGED, PATIENCE, Replanner
-from skugga.shadows.ground_pictures import shown_color
+from skugga.shadows.draw import draw
 from skugga.shadows.plan import Plan, Predicted
 from skugga.shadows.render import render_frame
 from skugga.terrain.errors import InputError
@@ -102,7 +102,7 @@ def test_a_film_begins_when_its_scene_is_whatever_moves(tmp_path):
 
 def test_a_frame_is_drawn_when_it_is_asked_for(figure, monkeypatch):
     drawn = []
-    monkeypatch.setattr(film, "shown_color", lambda *of: drawn.append(1) or shown_color(*of))
+    monkeypatch.setattr(film, "draw", lambda *of: drawn.append(1) or draw(*of))
     frames = frames_of(figure, FilmRequest(FilmSpan(100, 0.01), path=ROUND))
     assert drawn == []
     next(frames), next(frames)

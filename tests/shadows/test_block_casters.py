@@ -12,7 +12,6 @@ from morecantile import tms as matrix_sets
 from skugga.configs import LEVELS_FOLDER
 from skugga.shadows.block_casters import NOTHING_CASTS, NOTHING_OUTSIDE
 from skugga.shadows.executed_effects import executed_effects
-from skugga.shadows.ground_pictures import shown_map
 from skugga.shadows.render import Frame, render_frame
 from skugga.terrain.cache import clear_caches
 from skugga.terrain.casters.slopes import extent_on_grid
@@ -21,6 +20,7 @@ from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene, build_scene
 from tests.params import quick
+from tests.products import drawn as drawn_fast
 from tests.render import plan_of
 
 LEVELS = ("jacksboro", "jacksboro_alpine", "jacksboro_wooded", "spatialace")
@@ -79,9 +79,9 @@ def compare(scene: Scene, monkeypatch: pytest.MonkeyPatch, count: int, seed: int
     random, found = np.random.default_rng(seed), {"windows": 0, "outside_casters": 0, "shadows": 0}
     for number, (lit, view) in enumerate(windows(scene, random, count)):
         plan = plan_of(lit, view, **ASKED[number % len(ASKED)])
-        drawn, shown = render_frame(lit, view, plan), shown_map(lit, view, plan)
+        drawn, shown = render_frame(lit, view, plan), drawn_fast(lit, view, plan)
         with everything_on(monkeypatch):
-            whole, shown_whole = render_frame(lit, view, plan), shown_map(lit, view, plan)
+            whole, shown_whole = render_frame(lit, view, plan), drawn_fast(lit, view, plan)
         assert_equal(drawn, whole)
         assert np.array_equal(shown.color, shown_whole.color) and np.array_equal(shown.opacity, shown_whole.opacity)
         assert [record.name for record in drawn.passes] == plan.passes == [record.name for record in whole.passes]
@@ -121,6 +121,6 @@ def test_the_record_says_what_a_block_went_without(gl, monkeypatch):
     assert records["outside_casters"].note == NOTHING_OUTSIDE and records["outside_casters"].did_nothing
     assert records["sun/relief: sweep"].note == NOTHING_CASTS and records["sun/relief: sweep"].did_nothing
     assert frame.effects == plan.runs - {"cast_shadows", "outside_casters"}
-    assert executed_effects(shown_map(scene, view, plan).passes) == frame.effects
+    assert executed_effects(drawn_fast(scene, view, plan).passes) == frame.effects
     with everything_on(monkeypatch):
         assert render_frame(scene, view, plan).effects == plan.runs

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from morecantile import tms as matrix_sets
 
+from skugga.selector.film import COLOR
 from skugga.shadows import ground_pictures
-from skugga.shadows.ground_pictures import _ground_alone, _ground_picture, needs_no_gl, shown_color, shown_map
+from skugga.shadows.draw import SHADED, draw, heights_suffice
 from skugga.shadows.render import render_frame
 from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.gbuffer.picture import geometry_of
@@ -15,6 +16,7 @@ from skugga.terrain.geo.grid import BLOCK_PX, MapView, tile_grid
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.scene import Scene
 from tests.params import quick
+from tests.products import drawn, drawn_by_heights
 from tests.render import plan_of
 
 MOST_DIFFERING = 1e-4
@@ -59,14 +61,14 @@ def test_they_show_what_geometry_buffers_do(gl, hills, azimuth, altitude, zoom, 
     scene = hills(azimuth, altitude)
     view = view_of(scene, zoom, rows, cols)
     plan = plan_of(scene, view)
-    assert _ground_alone(scene, view, plan)
-    shown, frame = _ground_picture(scene, view, plan), render_frame(scene, view, plan)
+    assert heights_suffice(scene, view, plan, SHADED)
+    shown, frame = drawn_by_heights(scene, view, plan), render_frame(scene, view, plan)
     assert shown is not None and frame.there.any() and not frame.there.all()
-    assert np.array_equal(shown.there, frame.there)
+    assert np.array_equal(shown.valid, frame.there)
     if scene.sun_is_up:
         assert np.array_equal(shown.opacity, frame.opacity)
     else:  # there coarse pixels without a node that shows ground count as lit, but here by night
-        assert (shown.opacity[shown.there] == 255).all() and (shown.opacity == frame.opacity).mean() > 0.999
+        assert (shown.opacity[shown.valid] == 255).all() and (shown.opacity == frame.opacity).mean() > 0.999
     apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
     assert apart.max() <= 1 and (apart > 0).mean() <= MOST_DIFFERING
     assert [each.name for each in shown.passes] == plan.passes
@@ -79,15 +81,15 @@ def test_they_have_a_styles_colours(gl, hills, style, exaggeration, altitude):
     scene = hills(225.0, altitude).with_style(style, exaggeration)
     view = view_of(scene, 12)
     plan = plan_of(scene, view)
-    shown, frame = _ground_picture(scene, view, plan), render_frame(scene, view, plan)
-    assert shown is not None and _ground_alone(scene, view, plan)
+    shown, frame = drawn_by_heights(scene, view, plan), render_frame(scene, view, plan)
+    assert shown is not None and heights_suffice(scene, view, plan, SHADED)
     apart = np.abs(shown.color.astype(int) - frame.color)
     assert apart.max() <= 1 and (apart > 0).mean() <= MOST_DIFFERING
 
 
 def test_shadow_is_in_them(gl, hills):
     """The comparison sees something: opacity from none to all, and colours of many heights."""
-    shown = shown_map(scene := hills(225.0, 22.0), view := view_of(scene, 13), plan_of(scene, view))
+    shown = drawn(scene := hills(225.0, 22.0), view := view_of(scene, 13), plan_of(scene, view))
     assert {0, 255} < set(np.unique(shown.opacity)) and len(np.unique(shown.color.reshape(-1, 3), axis=0)) > 1000
 
 
@@ -100,13 +102,13 @@ def test_gentle_ground_under_a_high_sun_is_lit(gl, write_raster, make_scene, zoo
     view = view_of(scene, zoom)
     plan = plan_of(scene, view)
     assert plan.headline == "none"
-    shown, frame = _ground_picture(scene, view, plan), render_frame(scene, view, plan)
-    assert shown is not None and shown.there.any() and not shown.opacity.any()
-    assert np.array_equal(shown.there, frame.there) and np.array_equal(shown.opacity, frame.opacity)
+    shown, frame = drawn_by_heights(scene, view, plan), render_frame(scene, view, plan)
+    assert shown is not None and shown.valid.any() and not shown.opacity.any()
+    assert np.array_equal(shown.valid, frame.there) and np.array_equal(shown.opacity, frame.opacity)
     assert np.abs(shown.color.astype(int) - frame.color).max() <= 1
     assert [each.name for each in shown.passes] == plan.passes
     steep = make_scene(scene.elevation.name, 160.0, 1.0, effects={"cast_shadows": "off"})
-    assert _ground_picture(steep, view, plan_of(steep, view)) is None  # its triangles have to be looked at
+    assert drawn_by_heights(steep, view, plan_of(steep, view)) is None  # its triangles have to be looked at
 
 
 ELSE = {
@@ -120,8 +122,8 @@ def test_what_else_a_level_has_is_drawn_elsewhere_or_the_same(gl, hills, keys):
     scene = hills(225.0, 22.0, **keys)
     view = view_of(scene, 12)
     plan = plan_of(scene, view)
-    shown, frame = shown_map(scene, view, plan), render_frame(scene, view, plan)
-    assert _ground_alone(scene, view, plan) != ("weather" in keys)
+    shown, frame = drawn(scene, view, plan), render_frame(scene, view, plan)
+    assert heights_suffice(scene, view, plan, SHADED) != ("weather" in keys)
     assert np.array_equal(shown.opacity, frame.opacity)
     assert np.abs(shown.color.astype(int) - frame.color).max() <= 1
 
@@ -134,9 +136,9 @@ def test_pixels_between_nodes_show_what_geometry_buffers_do(gl, hills, altitude,
     view = scene.view(size=size)
     assert isinstance(view, MapView) and not view.on_nodes
     plan = plan_of(scene, view)
-    assert needs_no_gl(scene, view, plan)
+    assert heights_suffice(scene, view, plan, COLOR)
     frame = render_frame(scene, view, plan)
-    assert np.array_equal(shown_color(scene, view, plan), frame.color) and frame.there.any() and not frame.there.all()
+    assert np.array_equal(draw(scene, view, plan, COLOR).color, frame.color) and frame.there.any() and not frame.there.all()
     if scene.sun_is_up:
         assert len(np.unique(frame.opacity)) > 2
 
@@ -148,15 +150,15 @@ def test_ground_between_nodes_is_made_once_for_all_suns(gl, hills, monkeypatch):
     monkeypatch.setattr(ground_pictures, "geometry_of", lambda *of: made.append(of[1]) or geometry_of(*of))
     for azimuth in (200.0, 220.0, 240.0):
         lit = scene.with_sun(SunSpec(azimuth=azimuth, altitude=20.0))
-        shown_color(lit, view, plan_of(lit, view))
+        draw(lit, view, plan_of(lit, view), COLOR)
     assert len(made) == 1
 
 
 def test_off_the_ground_they_are_empty(gl, hills):
     scene = hills(225.0, 22.0)
     view = view_of(scene, 13, rows=2000)
-    shown = shown_map(scene, view, plan_of(scene, view))
-    assert not shown.there.any() and not shown.color.any() and not shown.opacity.any()
+    shown = drawn(scene, view, plan_of(scene, view))
+    assert not shown.valid.any() and not shown.color.any() and not shown.opacity.any()
 
 
 def test_ground_one_node_wide_goes_by_its_triangles(gl, write_raster, make_scene):
@@ -168,6 +170,6 @@ def test_ground_one_node_wide_goes_by_its_triangles(gl, write_raster, make_scene
     for zoom in (12, 13, 15):
         view = view_of(scene, zoom)
         plan = plan_of(scene, view)
-        shown, frame = shown_map(scene, view, plan), render_frame(scene, view, plan)
-        assert np.array_equal(shown.there, frame.there) and np.array_equal(shown.opacity, frame.opacity)
+        shown, frame = drawn(scene, view, plan), render_frame(scene, view, plan)
+        assert np.array_equal(shown.valid, frame.there) and np.array_equal(shown.opacity, frame.opacity)
         assert np.abs(shown.color.astype(int) - frame.color).max() <= 1

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from skugga.api.layers import LAYERS, PASS_LAYERS, frame_layer, viewable, write_layer
+from skugga.api.compute import product_of_frame
+from skugga.api.encoding import encode_exactly
+from skugga.api.products import PRODUCTS
 from skugga.shadows import layer_collector
 from skugga.shadows.layer_collector import LayerCollector, tiled_pictures
 from skugga.shadows.passes import PassLog
@@ -53,6 +56,19 @@ def scene(build) -> Scene:
 def with_layers(scene: Scene, *layers: str, view=None, **overrides) -> Frame:
     view = view or scene.view("eye")
     return render_frame(scene, view, plan_of(scene, view, **overrides), layers=frozenset(layers))
+
+
+def pass_picture(layer: str, array: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """An intermediate picture as PNG shows it over the frame's colour."""
+    to_picture = PRODUCTS[layer].to_picture
+    return array if to_picture is None else to_picture(array, color)
+
+
+def write_pass_layer(scene: Scene, frame: Frame, layer: str, path: Path) -> None:
+    """Write an intermediate picture of a frame."""
+    array, format = product_of_frame(scene, frame, layer), path.suffix[1:]
+    shown = array if format == "npy" else pass_picture(layer, array, frame.color)
+    path.write_bytes(encode_exactly(shown, PRODUCTS[layer], format, frame.view))
 
 
 # -- the mechanism
@@ -125,7 +141,7 @@ def test_every_light_leaves_its_maps(gl, scene):
         assert picture.dtype == np.float32 and np.nanmin(picture) >= 0.0 and np.nanmax(picture) == 1.0
         assert np.isfinite(picture).sum() == texels[light] and (picture < 1.0).any()
     assert maps["spot"].shape == (256, 256) and maps["omni"].shape == (512, 768)
-    assert frame_layer(scene, frame.under("omni"), "shadow-map") is maps["omni"]
+    assert product_of_frame(scene, frame.under("omni"), "shadow-map") is maps["omni"]
 
 
 def test_a_sun_s_map_has_the_light_s_up_above(gl, build):
@@ -204,11 +220,11 @@ def test_a_picture_of_volumes_covers_what_is_behind_them():
     """n faces cover four fifths of 1 - 0.88^n; under volumes beside one another the frame is repeated."""
     ground = np.full((1, 3, 3), 100, np.uint8)
     counts = np.array([[0, 1, 255]], np.uint8)
-    picture = viewable("volumes", counts, ground)
+    picture = pass_picture("volumes", counts, ground)
     shares = 0.8 * (1.0 - 0.88 ** counts[..., None].astype(float))
     np.testing.assert_allclose(picture, 100 + shares * (np.array([255, 120, 30]) - 100.0), atol=0.5)
     assert picture.dtype == np.uint8 and picture[0, 0].tolist() == [100, 100, 100]
-    np.testing.assert_array_equal(viewable("volumes", np.tile(counts, (1, 2)), ground), np.tile(picture, (1, 2, 1)))
+    np.testing.assert_array_equal(pass_picture("volumes", np.tile(counts, (1, 2)), ground), np.tile(picture, (1, 2, 1)))
 
 
 # -- files
@@ -218,8 +234,8 @@ def test_files_of_volumes(gl, scene, tmp_path):
     """Exact in .npy; in .png edges are white on black, counts are spread, and volumes lie over the frame."""
     frame = with_layers(scene, "stencil", "silhouettes", "volumes", algorithm={SUN: "shadow_volume"})
     for layer in ("stencil", "silhouettes", "volumes"):
-        for suffix in LAYERS[layer].suffixes:
-            write_layer(scene, frame, layer, tmp_path / f"{layer}{suffix}")
+        for format in PRODUCTS[layer].formats:
+            write_pass_layer(scene, frame, layer, tmp_path / f"{layer}.{format}")
         np.testing.assert_array_equal(np.load(tmp_path / f"{layer}.npy"), frame.layers[layer][SUN])
     pictures = {layer: np.asarray(Image.open(tmp_path / f"{layer}.png")) for layer in ("stencil", "silhouettes", "volumes")}
     np.testing.assert_array_equal(pictures["silhouettes"], frame.layers["silhouettes"][SUN])
@@ -233,7 +249,7 @@ def test_files_of_volumes(gl, scene, tmp_path):
 def test_volumes_of_two_algorithms_stand_beside_one_another(gl, scene, tmp_path):
     choice = {SUN: {"relief": "shadow_volume", "meshes": "hybrid"}, "spot": "none", "omni": "none"}
     frame = with_layers(scene, "volumes", algorithm=choice)
-    write_layer(scene, frame, "volumes", tmp_path / "two.png")
+    write_pass_layer(scene, frame, "volumes", tmp_path / "two.png")
     picture = np.asarray(Image.open(tmp_path / "two.png"))
     rows, cols = frame.there.shape
     assert picture.shape == (rows, 2 * cols, 3)
@@ -245,8 +261,8 @@ def test_files_of_layers(gl, scene, tmp_path):
     """Depths as 16-bit gray, nearest brightest; the stencil spread over eight bits; both exact in .npy."""
     frame = with_layers(scene, "shadow-map", "stencil", algorithm={"sun": "planar", "spot": "shadow_map"}, map_size=128)
     for layer, light in (("stencil", SUN), ("shadow-map", "spot")):
-        for suffix in LAYERS[layer].suffixes:
-            write_layer(scene, frame.under(light), layer, tmp_path / f"{layer}{suffix}")
+        for format in PRODUCTS[layer].formats:
+            write_pass_layer(scene, frame.under(light), layer, tmp_path / f"{layer}.{format}")
     depths = np.load(tmp_path / "shadow-map.npy")
     gray = np.asarray(Image.open(tmp_path / "shadow-map.png"))
     assert gray.dtype == np.uint16 and gray.shape == depths.shape
@@ -255,14 +271,13 @@ def test_files_of_layers(gl, scene, tmp_path):
     gray = np.asarray(Image.open(tmp_path / "stencil.png"))
     np.testing.assert_array_equal(gray, stencil * 127)
     assert set(np.unique(stencil)) == {0, 1, 2}
-    assert viewable("shadow-map", np.array([[np.nan, 1.0, 0.0]], np.float32), frame.color).tolist() == [[0, 0, 65535]]
-    assert viewable("stencil", np.zeros((1, 2), np.uint8), frame.color).tolist() == [[0, 0]]
+    assert pass_picture("shadow-map", np.array([[np.nan, 1.0, 0.0]], np.float32), frame.color).tolist() == [[0, 0, 65535]]
+    assert pass_picture("stencil", np.zeros((1, 2), np.uint8), frame.color).tolist() == [[0, 0]]
 
 
-def test_every_layer_is_made_in_one_way_and_every_layer_of_an_algorithm_is_known():
-    assert all((layer.picture is None) != (layer.data is None) for layer in LAYERS.values())
+def test_every_layer_of_an_algorithm_is_a_product():
     left = {layer for algorithm in ALGORITHMS.values() for layer in algorithm.layers}
-    assert left == PASS_LAYERS <= set(LAYERS)
+    assert left == {name for name, product in PRODUCTS.items() if product.pass_layer == name}
 
 
 # -- refusals
@@ -284,7 +299,7 @@ def test_every_layer_is_made_in_one_way_and_every_layer_of_an_algorithm_is_known
     ],
 )
 def test_a_layer_that_nothing_leaves_is_refused_before_anything_is_drawn(scene, algorithm, layer, words, monkeypatch):
-    monkeypatch.setattr("skugga.shadows.render._render_block", None)
+    monkeypatch.setattr("skugga.shadows.render.render_block", None)
     with pytest.raises(UnsupportedError) as caught:
         with_layers(scene, layer, algorithm=algorithm)
     assert layer in str(caught.value) and words in str(caught.value) and "\n" not in str(caught.value)
@@ -292,13 +307,13 @@ def test_a_layer_that_nothing_leaves_is_refused_before_anything_is_drawn(scene, 
 
 def test_a_layer_of_another_light_is_refused_by_name(gl, scene):
     frame = with_layers(scene, "stencil", algorithm={"sun": "none", "spot": "planar", "omni": "none"})
-    assert frame_layer(scene, frame.under("spot"), "stencil").max() == 2
+    assert product_of_frame(scene, frame.under("spot"), "stencil").max() == 2
     with pytest.raises(InputError, match="light: 'sun'.*layer stencil: spot"):
-        frame_layer(scene, frame, "stencil")
+        product_of_frame(scene, frame, "stencil")
 
 
 def test_a_view_of_nothing_has_no_maps(gl, scene, tmp_path):
     view = map_view(scene.world, scene.world.crs, (9000.0, 9000.0, 9050.0, 9050.0), rows=48, cols=48)
     frame = with_layers(scene, "shadow-map", view=view, algorithm={"sun": "shadow_map"})
     with pytest.raises(InputError, match="no light has any"):
-        write_layer(scene, frame, "shadow-map", tmp_path / "map.png")
+        write_pass_layer(scene, frame, "shadow-map", tmp_path / "map.png")

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from skugga.api.layers import frame_layer
+from skugga.api.compute import product_of_frame
 from skugga.shadows import map_edges
 from skugga.shadows.map_edges import edge_pixels
 from skugga.shadows.maps import lookup
@@ -89,11 +89,11 @@ def test_masks_and_values_keep_to_the_pixels_own_points(gl, ridge, algorithm):
     view = view_of(ridge)
     shown, points = render(ridge, view, algorithm=algorithm), with_points(ridge, view, algorithm=algorithm)
     for layer in ("mask", "visibility", "depth"):
-        np.testing.assert_array_equal(frame_layer(ridge, shown, layer), frame_layer(ridge, points, layer))
+        np.testing.assert_array_equal(product_of_frame(ridge, shown, layer), product_of_frame(ridge, points, layer))
     np.testing.assert_array_equal(np.unique(shown.visibility), [0.0, 1.0])
     between = (shown.opacity > 0) & (shown.opacity < 255)
     assert 40 < between.sum() < 0.2 * between.size and set(np.unique(points.opacity)) == {0, 255}
-    np.testing.assert_array_equal(frame_layer(ridge, shown, "shadow")[..., 3], shown.opacity)
+    np.testing.assert_array_equal(product_of_frame(ridge, shown, "shadow")[..., 3], shown.opacity)
     changed = (shown.color != points.color).any(axis=-1)
     on_plain = between & (shown.height_m < 0.01)
     assert on_plain.sum() > 40 and changed[on_plain].mean() > 0.95

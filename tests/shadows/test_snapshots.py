@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from skugga.api.layers import frame_layer, viewable
+from skugga.api.compute import product_of_frame
+from skugga.api.products import PRODUCTS
 from skugga.shadows.render import render_frame
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.parts import SunSpec
@@ -42,7 +43,7 @@ def test_map_views(gl, level, sun, layer, request):
     azimuth, altitude = SUNS[sun]
     scene = build_scene(load_level(f"configs/{level}.yaml")).with_sun(SunSpec(azimuth=azimuth, altitude=altitude))
     frame = render(scene, scene.view(size=(300, 300)))
-    picture = frame_layer(scene, frame, layer)
+    picture = product_of_frame(scene, frame, layer)
     assert_golden(f"{level}-{sun}-{layer}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
@@ -52,7 +53,7 @@ def test_algorithms_in_perspective(gl, level, view, algorithm, request):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     frame = render(scene, scene.view(view, size=(360, 288)), algorithm=algorithm)
     assert frame.plan.headline == algorithm
-    picture = frame_layer(scene, frame, "color")[..., :3]
+    picture = product_of_frame(scene, frame, "color")[..., :3]
     assert_golden(f"{level}-{view}-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
@@ -62,7 +63,7 @@ def test_algorithms_in_maps(gl, level, bounds, algorithm, request):
     scene = build_scene(load_level(f"configs/{level}.yaml"))
     frame = render(scene, scene.view(bounds=bounds, size=(256, 256)), algorithm=algorithm)
     assert frame.plan.headline == algorithm
-    picture = frame_layer(scene, frame, "mask")
+    picture = product_of_frame(scene, frame, "mask")
     assert_golden(f"{level}-map-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
@@ -74,7 +75,8 @@ def test_layers_of_volumes(gl, algorithm, layer, request):
     scene = build_scene(load_level("configs/thesis_street_sun.yaml"))
     view = scene.view("main", size=(360, 288))
     frame = render_frame(scene, view, plan_of(scene, view, algorithm=algorithm), layers=frozenset({layer}))
-    picture = viewable(layer, frame_layer(scene, frame, layer), frame.color)
+    array, to_picture = product_of_frame(scene, frame, layer), PRODUCTS[layer].to_picture
+    picture = array if to_picture is None else to_picture(array, frame.color)
     assert_golden(f"thesis_street_sun-{layer}-{algorithm}", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 
@@ -82,7 +84,7 @@ def test_tiles_of_a_block(gl, request):
     """Four tiles round the corner of a ridge at zoom 13, cut from their block."""
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     view = block_at(-84.25, 36.2933, 13).part(256, 256, 512, 512)
-    picture = frame_layer(scene, render(scene, view), "color")
+    picture = product_of_frame(scene, render(scene, view), "color")
     assert_golden("jacksboro-tiles-13", picture, gl.renderer, request.config.getoption("regenerate_goldens"))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from morecantile import tms as matrix_sets
 
-from skugga.shadows.ground_pictures import _ground_picture, needs_no_gl
+from skugga.shadows.draw import SHADED, heights_suffice
 from skugga.shadows.render import render_frame
 from skugga.terrain.casters.slopes import extent_on_grid
 from skugga.terrain.climate import ARID, ICE, LATITUDES, TUNDRA, climate_srgb, ramp_srgb, snow_line_m
@@ -17,6 +17,7 @@ from skugga.terrain.geo.grid import MapView, tile_grid
 from skugga.terrain.level.parts import StyleSpec
 from skugga.terrain.shading import albedo_of
 from skugga.terrain.style import STYLES, tint_table
+from tests.products import drawn_by_heights
 from tests.render import plan_of
 
 OWN = STYLES["natural"].ramp
@@ -106,13 +107,13 @@ def test_the_fast_path_has_the_same_climate(gl, hilly):
     rows, cols = int(south - north) // 2, int(east - west) // 2
     view = MapView(grid, float(np.floor(north)) + rows // 2, float(np.floor(west)) + cols // 2, 1.0, 1.0, rows, cols)
     plan = plan_of(hilly, view)
-    assert needs_no_gl(hilly, view, plan)
-    shown, frame = _ground_picture(hilly, view, plan), render_frame(hilly, view, plan)
+    assert heights_suffice(hilly, view, plan, SHADED)
+    shown, frame = drawn_by_heights(hilly, view, plan), render_frame(hilly, view, plan)
     assert shown is not None and frame.there.sum() > 3000
     apart = np.abs(shown.color.astype(int) - frame.color).max(axis=-1)
     assert apart.max() <= 1 and (apart > 0).mean() < 1e-3
     own_ramp = StyleSpec(name="natural", ramp=OWN)
-    without = _ground_picture(dataclasses.replace(hilly, styled=own_ramp), view, plan)
+    without = drawn_by_heights(dataclasses.replace(hilly, styled=own_ramp), view, plan)
     assert without is not None, "a level's own ramp is that of all latitudes"
     assert (np.abs(without.color.astype(int) - shown.color).max(axis=-1) > 4).mean() > 0.1, "else nothing was compared"
 

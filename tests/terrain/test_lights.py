@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from skugga.api.layers import frame_layer
+from skugga.api.compute import product_of_frame
 from skugga.shadows.attached import attached
 from skugga.terrain.effects.effect import ShadingBlock
 from skugga.terrain.effects.lamps import apply_lamps
@@ -180,9 +180,9 @@ def test_a_frame_under_another_light(gl, floor, make_scene, post):
     frame = render(scene, scene.view(bounds=(10, -20, 50, 20), size=(60, 60)))
     assert frame.under(None) is frame
     under = frame.under("lamp")
-    np.testing.assert_array_equal(frame_layer(scene, under, "visibility"), frame.visibilities["lamp"])
-    np.testing.assert_array_equal(frame_layer(scene, frame, "visibility"), frame.visibilities[SUN])
-    assert (frame_layer(scene, under, "mask") != frame_layer(scene, frame, "mask")).any()
+    np.testing.assert_array_equal(product_of_frame(scene, under, "visibility"), frame.visibilities["lamp"])
+    np.testing.assert_array_equal(product_of_frame(scene, frame, "visibility"), frame.visibilities[SUN])
+    assert (product_of_frame(scene, under, "mask") != product_of_frame(scene, frame, "mask")).any()
     np.testing.assert_array_equal(under.color, frame.color)
     with pytest.raises(InputError, match="light: 'moon'.*sun, lamp") as caught:
         frame.under("moon")

@@ -24,21 +24,23 @@ from skugga.api.cli.completion import complete_words
 from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.options import overrides_of, with_shadow_options
 from skugga.api.cli.outputs import check_targets
+from skugga.api.cli.product_parameters import product_options, with_product_options
 from skugga.api.cli.progress import ProgressBar
-from skugga.api.layers import LAYERS, PASS_LAYERS, check_suffix, write_layer
+from skugga.api.products import PRODUCTS, product_named
+from skugga.api.products.product import Product
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import StyleName
 from skugga.terrain.whole_files import write_whole
 
-_FRAME_LAYERS = [name for name in LAYERS if name not in PASS_LAYERS]
+_LAYERS = [name for name, product in PRODUCTS.items() if product.pass_layer is None and product.when != "days"]
+_PASS_LAYERS = [name for name, product in PRODUCTS.items() if product.pass_layer is not None]
 _LayerOption = Annotated[
     str,
     typer.Option(
-        help=f"{', '.join(_FRAME_LAYERS[:-1])} or {_FRAME_LAYERS[-1]}; or an algorithm's intermediate picture: "
-        f"{', '.join(name for name in LAYERS if name in PASS_LAYERS)}.",
-        autocompletion=complete_words(LAYERS),
+        help=f"{', '.join(_LAYERS[:-1])} or {_LAYERS[-1]}; or an algorithm's intermediate picture: {', '.join(_PASS_LAYERS)}.",
+        autocompletion=complete_words([*_LAYERS, *_PASS_LAYERS]),
     ),
 ]
 _STYLES = ("auto", *get_args(StyleName))
@@ -51,6 +53,7 @@ _SlopeExaggerationOption = Annotated[
 
 
 @takes_level
+@with_product_options(_LAYERS, after="layer")
 @with_shadow_options("render")
 def render(
     level: LevelSource,
@@ -93,24 +96,35 @@ def render(
 ) -> None:
     """Render one snapshot of a level's view into a file; or a film, under a sun or along a path that moves."""
     from skugga.api.cli.film import FilmOptions, render_film
-    from skugga.api.cli.snapshot import Appearance, snapshot, statistics
+    from skugga.api.cli.snapshot import snapshot, statistics
+    from skugga.api.request import ProductRequest
 
+    product = product_named(layer, (*_LAYERS, *_PASS_LAYERS))
+    options, asked = product_options(product, asked)
     film = FilmOptions(start, end, step, path, fps, lossless)
     if film.given:
         if light is not None:
             raise InputError("--light", light, f"nothing beside {film.given[0]}: films are of all lights")
-        sun, look = parse_sun(time, azimuth, altitude), Appearance(style, slope_exaggeration)
+        sun, look = parse_sun(time, azimuth, altitude), (style, slope_exaggeration)
         view_options = read_size(size), read_bounds(bounds), crs, seconds
         render_film(level, output, film, view, layer, sun, overrides_of("render", asked), *view_options, look, stats)
         return
-    check_suffix(layer, output)
+    check_output(product, output)
     check_targets(level, [("--output", output), ("--stats", stats)])
     overrides = overrides_of("render", asked)
     with ProgressBar("Rendering") as advance:
-        sun, shape = parse_sun(time, azimuth, altitude), read_size(size)
-        kept = frozenset(pass_layer for pass_layer in PASS_LAYERS if pass_layer == layer)
-        look = Appearance(style, slope_exaggeration)
-        scene, frame = snapshot(level, view, sun, overrides, shape, read_bounds(bounds), crs, advance, seconds, kept, look, max_ms)
-    write_layer(scene, frame.under(light), layer, output)
+        request = ProductRequest(product=layer, options=options, sun=parse_sun(time, azimuth, altitude))
+        place, look = (read_size(size), read_bounds(bounds), crs), (style, slope_exaggeration)
+        found = snapshot(level, view, request, overrides, *place, advance, seconds, light, max_ms, look)
+    found.write(request, output)
     if stats is not None:
-        write_whole(stats, json.dumps(statistics(scene, frame), indent=2) + "\n")
+        write_whole(stats, json.dumps(statistics(found), indent=2) + "\n")
+
+
+def check_output(product: Product, path: Path) -> None:
+    """Raise ``InputError`` unless a file of this suffix can hold the product."""
+    suffixes = [f".{format}" for format in product.formats]
+    if path.suffix.lower() not in suffixes:
+        raise InputError("output", str(path), f"for layer {product.name}: {', '.join(suffixes)}")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(2, "folder not found", str(path))

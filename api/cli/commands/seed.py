@@ -10,13 +10,14 @@ import typer
 from skugga.api.cli.completion import complete_words
 from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.options import with_shadow_options
+from skugga.api.cli.product_parameters import with_product_options
+from skugga.api.products import SEEDED_PRODUCTS
 from skugga.api.seed.messages import LEAST_LIMIT_S
 from skugga.terrain.level.level_source import LevelSource
 
-_LAYERS = "color", "shadow", "mask", "terrain-rgb", "terrarium"
-
 
 @takes_level
+@with_product_options(SEEDED_PRODUCTS, after="format")
 @with_shadow_options("pictures", after="altitude")
 def seed(
     level: LevelSource,
@@ -35,8 +36,8 @@ def seed(
     layer: Annotated[
         str,
         typer.Option(
-            help=f"A layer that tiles are served in: {', '.join(_LAYERS)}.",
-            autocompletion=complete_words(_LAYERS),
+            help=f"A layer that tiles are served in: {', '.join(SEEDED_PRODUCTS)}.",
+            autocompletion=complete_words(SEEDED_PRODUCTS),
         ),
     ] = "color",
     format: Annotated[str, typer.Option(help="png, webp or jpg.", autocompletion=complete_words(["png", "webp", "jpg"]))] = "png",

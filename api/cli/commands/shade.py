@@ -14,12 +14,15 @@ from skugga.api.cli.options import overrides_of, with_shadow_options
 from skugga.api.cli.outputs import check_targets
 from skugga.api.cli.progress import ProgressBar
 from skugga.api.cli.times import suns_of
-from skugga.api.shade_layers import SHADE_LAYERS
+from skugga.api.products import PRODUCTS, RASTER_PRODUCTS, product_named
 from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.level_source import LevelSource
 
 if TYPE_CHECKING:
     from skugga.api.raster_file import RasterCells
+
+SHADED = tuple(name for name in RASTER_PRODUCTS if PRODUCTS[name].when == "sun")
+"""Products of the sun of a moment."""
 
 
 @takes_level
@@ -29,7 +32,7 @@ def shade_raster(
     output: Annotated[
         Path, typer.Option("-o", "--output", help="GeoTIFF to write (COG); of several times {time} in its name stands for each.")
     ],
-    layer: Annotated[str, typer.Option(help=f"{', '.join(SHADE_LAYERS)}.", autocompletion=complete_words(SHADE_LAYERS))] = "mask",
+    layer: Annotated[str, typer.Option(help=f"{', '.join(SHADED)}.", autocompletion=complete_words(SHADED))] = "mask",
     time: TimeOption = None,
     times: Annotated[str | None, typer.Option(metavar="T,T,...", help="Several times, in one run.")] = None,
     start: Annotated[str | None, typer.Option("--from", metavar="TIME", help="The first of many times, ...")] = None,
@@ -48,8 +51,10 @@ def shade_raster(
     **asked: Any,
 ) -> None:
     """Write the shade of a raster of any size, by default on its own grid."""
-    from skugga.api.cli.shading import scene_of_item, shade_level
+    from skugga.api.cli.shading import RasterPlace, scene_of_item, write_product
+    from skugga.api.request import ProductRequest
 
+    product_named(layer, SHADED, "--layer")
     overrides = overrides_of("render", asked)
     cells: Path | RasterCells | None = like
     suns = suns_of(parse_sun(time, azimuth, altitude), times, start, end, step)
@@ -57,4 +62,5 @@ def shade_raster(
         check_targets(level, [("--output", output)], stac)
         suns, cells = scene_of_item(stac, suns, like, free=bounds is None and crs is None and resolution is None)
     with ProgressBar("Shading") as advance:
-        shade_level(level, output, layer, suns, read_bounds(bounds), crs, resolution, cells, overrides, advance)
+        requests = [ProductRequest(product=layer, sun=sun) for sun in suns]
+        write_product(level, output, requests, RasterPlace(read_bounds(bounds), crs, resolution, cells), overrides, advance)

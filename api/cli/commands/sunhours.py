@@ -11,7 +11,7 @@ from skugga.api.cli.common_options import BoundsOption, CrsOption, read_bounds
 from skugga.api.cli.completion import complete_words
 from skugga.api.cli.level_argument import takes_level
 from skugga.api.cli.progress import ProgressBar
-from skugga.api.sun_quantities import QUANTITIES
+from skugga.api.products.sun_hours import QUANTITIES
 
 if TYPE_CHECKING:
     from skugga.terrain.level.level_source import LevelSource
@@ -50,12 +50,12 @@ def sun_hours_raster(
     levels: Annotated[str, typer.Option(metavar="V,V,...", help="Values of the contours.")] = "1,2,3,4,6,8,10,12",
 ) -> None:
     """Write hours of sun, first or last sun of a raster of any size, over dates and daily windows."""
-    from skugga.api.cli.sunning import rules_of, write_sun_level
+    from skugga.api.cli.shading import RasterPlace, write_product
+    from skugga.api.cli.sunning import contour_values, sun_hours_request
 
-    rules = rules_of(step, threshold, least_altitude, height)
-    lines = None if contours is None else (contours, levels)
+    rules = step, threshold, least_altitude, height
+    request = sun_hours_request(quantity, (date, last, every), window, clock, rules)
+    lines = None if contours is None else (contours, contour_values((contours, levels)))
+    place = RasterPlace(read_bounds(bounds), crs, resolution, like)
     with ProgressBar("Following the sun") as advance:
-        write_sun_level(
-            level, output, quantity, (date, last, every), window, clock, rules,
-            (read_bounds(bounds), crs, resolution, like), lines, advance,
-        )  # fmt: skip
+        write_product(level, output, [request], place, {}, advance, lines)

@@ -10,11 +10,10 @@ from fastapi import Request, Response
 
 from skugga.api.http.answers import base_url, document_answer
 from skugga.api.http.ogc.ogc_requests import layer_name
-from skugga.api.http.ogc.wmts_capabilities import hangs_on_time
-from skugga.api.http.parameters import TileQuery
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.http.state.service import Service
-from skugga.api.layers import LAYERS, MAP_LAYERS
+from skugga.api.products import MAP_PRODUCTS, PRODUCTS
+from skugga.api.request import ProductRequest
 
 _PAGE = """<!doctype html>
 <html lang="en">
@@ -60,7 +59,7 @@ def level_page(level: ServedLevel, base: str) -> str:
     )
 
 
-def snippets(level: ServedLevel, base: str, shown: TileQuery | None = None) -> Iterator[tuple[str, str]]:
+def snippets(level: ServedLevel, base: str, shown: ProductRequest | None = None) -> Iterator[tuple[str, str]]:
     """Lines for map clients, each with the client's name; those of XYZ tiles have what is ``shown`` in their addresses (default:
     the level as it is), while clients of WMTS and WMS choose layer and time by themselves.
     """
@@ -130,7 +129,7 @@ def _facts(level: ServedLevel) -> Iterator[tuple[str, str]]:
         zooms = level.zooms[DEFAULT_MATRIX_SET]
         yield "Zooms", f"{zooms.first} to {zooms.last} of {DEFAULT_MATRIX_SET}"
         yield "Tile matrix sets", escape(", ".join(level.zooms))
-        yield "Layers", "; ".join(_layer_link(name, layer) for layer in MAP_LAYERS if hangs_on_time(layer))
+        yield "Layers", "; ".join(_layer_link(name, layer) for layer in MAP_PRODUCTS if PRODUCTS[layer].when == "sun")
     views = [view for view, size in level.view_sizes.items() if size is not None]
     yield "Views", ", ".join(f'<a href="{name}/snapshot.png?view={quote(view)}">{escape(view)}</a>' for view in views)
     if level.world.off_earth is None:
@@ -142,7 +141,7 @@ def _facts(level: ServedLevel) -> Iterator[tuple[str, str]]:
 
 
 def _layer_link(name: str, layer: str) -> str:
-    suffix = "png" if "png" in LAYERS[layer].map_formats else "tif"
+    suffix = "png" if "png" in PRODUCTS[layer].map_formats else "tif"
     return f'<a href="{name}/map.{suffix}?layer={layer}">{layer}</a>'
 
 

@@ -14,8 +14,9 @@ from skugga.api.http.documented import LEVEL_ERRORS, LevelPath, file_docs, probl
 from skugga.api.http.levels.level_page import page_answer, snippets
 from skugga.api.http.ogc.ogc_requests import this_year
 from skugga.api.http.ogc.qgis_layers import qgis_layers
-from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
+from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, tile_query
 from skugga.api.http.state.service import TheService
+from skugga.api.request import ProductRequest
 from skugga.terrain.errors import UnsupportedError
 
 router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS), default_response_class=Response)
@@ -64,7 +65,7 @@ class ClientLines(BaseModel):
     response_class=JSONResponse,
 )
 async def lines_of_level(
-    request: Request, service: TheService, level: LevelPath, shown: Annotated[TileQuery, Depends(tile_query)]
+    request: Request, service: TheService, level: LevelPath, shown: Annotated[ProductRequest, Depends(tile_query)]
 ) -> Response:
     """Lines to copy into MapLibre, Leaflet, OpenLayers, QGIS, GDAL and others, as the level's page has them; those of XYZ tiles
     show what the query asks of the tiles.

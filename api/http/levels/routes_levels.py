@@ -13,13 +13,14 @@ from skugga.api.color_scale import LEGEND_MEDIA_TYPES, LegendFormat
 from skugga.api.http.answers import JSON_MEDIA, base_url, json_answer, wants_page
 from skugga.api.http.documented import LEVEL_ERRORS, LevelPath, MatrixSetPath, file_docs, for_example, problem_docs
 from skugga.api.http.levels.level_page import page_answer
-from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
+from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, tile_query
 from skugga.api.http.state.service import TheService
 from skugga.api.http.tiles.legends import legend_answer
-from skugga.api.http.tiles.tilejson import encoding_entry, tilejson_answer
-from skugga.api.layers import LAYERS, MapFormat, nodata_height_m
-from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
-from skugga.terrain.errors import InputError
+from skugga.api.http.tiles.tilejson import tilejson_answer
+from skugga.api.products.heights import nodata_height_m
+from skugga.api.products.product import MapFormat
+from skugga.api.products.sun_hours import NAME as SUN_HOURS
+from skugga.api.request import ProductRequest
 
 router = APIRouter(tags=["levels"], responses=problem_docs(*LEVEL_ERRORS))
 
@@ -70,7 +71,7 @@ async def tilejson(
     service: TheService,
     level: LevelPath,
     tms: MatrixSetPath,
-    wanted: Annotated[TileQuery, Depends(tile_query)],
+    wanted: Annotated[ProductRequest, Depends(tile_query)],
     format: Annotated[MapFormat, Query(description="Of the tiles.", examples=["webp"])] = "png",
 ) -> Response:
     """TileJSON 3.0.0 for map clients; what is asked of the picture is asked of its tiles.
@@ -83,8 +84,8 @@ async def tilejson(
     """
     served = await service.level(level)
     zooms = served.zooms_in(tms)
-    encoding = None if wanted.sun_hours is not None else LAYERS[wanted.layer].encoding
-    sun = None if wanted.sun_hours is not None or encoding is not None else await run_in_threadpool(served.sun, wanted.picture.sun)
+    product = wanted.record
+    sun = await run_in_threadpool(served.sun, wanted.sun) if product.when == "sun" else None
     where: dict[str, Any] | None = None
     if sun is not None:
         time_default = {} if sun.time is None else {"time": sun.time.isoformat()}
@@ -93,12 +94,12 @@ async def tilejson(
     query = wanted.query()
     address = f"{base_url(request, service.settings.public_url)}/levels/{quote(served.name)}"
     tiles = f"{address}/tiles/{tms}/{{z}}/{{x}}/{{y}}.{format}"
-    more = encoding_entry(encoding)
-    extra: dict[str, Any] = {"layer": wanted.layer, "tile_matrix_set": tms, "sun": where}
+    more: dict[str, Any] = {} if product.encoding is None else {"encoding": product.encoding}
+    extra: dict[str, Any] = {"layer": product.name, "tile_matrix_set": tms, "sun": where}
     if more:
         extra["nodata_height"] = nodata_height_m(served.lowest_m)
-    if wanted.sun_hours is not None:
-        scale = await run_in_threadpool(wanted.sun_hours.color_scale, served.world)
+    if product.color_scale is not None:
+        scale = await run_in_threadpool(product.color_scale, wanted.options, served.world)
         picture = f"{address}/legend.png?{query}"
         more["legend"] = f'<img src="{escape(picture)}" alt="{escape(scale.title)}">'
         extra["legend"] = {
@@ -117,17 +118,15 @@ async def tilejson(
     dependencies=[Depends(allow_only(*TILE_PARAMETERS))],
     response_class=Response,
     responses=file_docs("The picture.", LEGEND_MEDIA_TYPES.values()),
-    openapi_extra=for_example("date", layer=SUN_HOURS_LAYER),
+    openapi_extra=for_example("date", layer=SUN_HOURS),
 )
 async def legend_of_tiles(
     request: Request,
     service: TheService,
     level: LevelPath,
     format: Annotated[LegendFormat, Path(description="Of the picture.", examples=["png"])],
-    wanted: Annotated[TileQuery, Depends(tile_query)],
+    wanted: Annotated[ProductRequest, Depends(tile_query)],
 ) -> Response:
     """The legend of a layer of tiles as a picture. Of the layers that are pictures there is none."""
     served = await service.level(level)
-    if wanted.sun_hours is None:
-        raise InputError("layer", wanted.layer, f"a layer with a legend: {SUN_HOURS_LAYER}")
-    return await legend_answer(request, served, wanted.sun_hours, format)
+    return await legend_answer(request, served, wanted, format)

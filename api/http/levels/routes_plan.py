@@ -17,7 +17,8 @@ from skugga.api.http.parameters import PLAN_PARAMETERS, SUN_PARAMETERS, PlanQuer
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.http.state.service import TheService
 from skugga.api.matrices import matrix_set_of
-from skugga.api.workers.jobs import DescribedPlanJob, DescriptorAnswer, DescriptorJob, PictureRequest, PlanAnswer, PlanJob, Tiles
+from skugga.api.request import PictureRequest
+from skugga.api.workers.jobs import DescribedPlanJob, DescriptorAnswer, DescriptorJob, PlanAnswer, PlanJob, Tiles
 from skugga.terrain.errors import InputError
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.parts import SunSpec

@@ -12,20 +12,22 @@ from skugga.api.errors import NotServedError
 from skugga.api.http.moments import asked_sun
 from skugga.api.http.numbers import decimal_in
 from skugga.api.http.ogc.ogc_times import date_asked, default_date, instant_asked
-from skugga.api.http.parameters import OWN_STYLE, TILE_LAYERS, TileQuery, style_named
+from skugga.api.http.parameters import OWN_STYLE, PRODUCT_OPTIONS, served_options, style_named
 from skugga.api.http.problems import public_error
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.state.service import service_of
-from skugga.api.layers import MAP_MEDIA_TYPES, MapFormat
-from skugga.api.sun_hours_layer import SUN_HOURS_LAYER, SunHoursQuery
-from skugga.api.workers.block_tiles import map_formats_of
-from skugga.api.workers.jobs import PictureRequest
+from skugga.api.products import MAP_PRODUCTS, PRODUCTS
+from skugga.api.products.product import MEDIA_TYPES, MapFormat, ProductOptions
+from skugga.api.request import ProductRequest
 from skugga.terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.style import STYLES
 
 GIS_FORMATS: tuple[MapFormat, ...] = ("png", "webp", "jpg", "tif")
 """Formats that map clients know, the first one of a layer the one to take."""
+
+OWN_KEYS = frozenset({"WIDTH", "HEIGHT", "FORMAT", "STYLE", "STYLES", "TIME", "DATE", "I", "J"})
+"""Keys that have a meaning of their own: no options of products, though some have the same name."""
 
 DocumentKind = Literal["WMTS", "WMS"]
 
@@ -67,13 +69,9 @@ class KeyValues:
         return number
 
 
-STYLED_LAYERS = frozenset({"color"})
-"""Layers that look otherwise in another style."""
-
-
 def styles_of(layer: str) -> dict[str, str]:
     """The styles of a layer by name, and what they are, the level's own first."""
-    others = {style.name: style.about for style in STYLES.values()} if layer in STYLED_LAYERS else {}
+    others = {style.name: style.about for style in STYLES.values()} if PRODUCTS[layer].is_display else {}
     return {OWN_STYLE: "Default", **others}
 
 
@@ -91,27 +89,39 @@ def layer_name(level: ServedLevel, layer: str) -> str:
 def split_layer(key: str, name: str) -> tuple[str, str]:
     """A level's name and a layer. Raises ``NotServedError``."""
     level, colon, layer = name.rpartition(":")
-    if not colon or layer not in TILE_LAYERS:
-        raise NotServedError(key, f"{key}: there is no layer {name[:80]!r}; layers are LEVEL:{{{','.join(TILE_LAYERS)}}}.")
+    if not colon or layer not in MAP_PRODUCTS:
+        raise NotServedError(key, f"{key}: there is no layer {name[:80]!r}; layers are LEVEL:{{{','.join(MAP_PRODUCTS)}}}.")
     return level, layer
 
 
 def gis_formats(layer: str) -> tuple[MapFormat, ...]:
     """The formats of a layer that map clients know."""
-    return tuple(format for format in GIS_FORMATS if format in map_formats_of(layer))
+    return tuple(format for format in GIS_FORMATS if format in PRODUCTS[layer].map_formats)
 
 
 def format_named(media_type: str) -> MapFormat:
     """The format of a media type. Raises ``InputError``."""
-    for format, known in MAP_MEDIA_TYPES.items():
+    for format, known in MEDIA_TYPES.items():
         if media_type.lower().split(";")[0].strip() in (known, format):
             return format
-    raise InputError("FORMAT", media_type, ", ".join(MAP_MEDIA_TYPES[format] for format in GIS_FORMATS))
+    raise InputError("FORMAT", media_type, ", ".join(MEDIA_TYPES[format] for format in GIS_FORMATS))
 
 
-def sun_hours_asked(level: ServedLevel, time: str | None) -> SunHoursQuery:
-    """The hours of sun that a TIME asks for. Raises ``InputError``."""
-    return SunHoursQuery(date=date_asked(time, default_date(level, this_year())))
+def options_asked(level: ServedLevel, layer: str, asked: KeyValues) -> ProductOptions:
+    """The options of a product by keys of their names; the date of one of whole dates is that of TIME. Raises ``InputError``."""
+    product = PRODUCTS[layer]
+    names = [name for name in served_options(product) if name.upper() not in OWN_KEYS]
+    for name in PRODUCT_OPTIONS:
+        key = name.upper()
+        if name not in names and key not in OWN_KEYS and asked.get(key) is not None:
+            raise InputError(key, asked.get(key), f"nothing: {layer} has no such option")
+    given: dict[str, object] = {name: value for name in names if (value := asked.get(name.upper())) is not None}
+    if product.when == "days":
+        given["date"] = date_asked(asked.get("TIME"), default_date(level, this_year()))
+    try:
+        return product.options_of({**product.options.UNSERVED, **given})
+    except InputError as error:
+        raise InputError(error.name.upper(), error.value, error.allowed) from None
 
 
 def sun_at_time(request: Request, level: ServedLevel, asked: KeyValues) -> SunSpec | None:
@@ -121,17 +131,18 @@ def sun_at_time(request: Request, level: ServedLevel, asked: KeyValues) -> SunSp
     return asked_sun(request, instant, asked.number("AZIMUTH"), asked.number("ALTITUDE"), grain_s)
 
 
-def shown_asked(request: Request, level: ServedLevel, layer: str, asked: KeyValues, style_key: str) -> TileQuery:
+def shown_asked(request: Request, level: ServedLevel, layer: str, asked: KeyValues, style_key: str) -> ProductRequest:
     """What a layer shows at a request's TIME, or under the sun of its AZIMUTH and ALTITUDE, in the style of a key.
 
     Raises ``InputError``.
     """
-    if layer == SUN_HOURS_LAYER:
-        return TileQuery(layer, PictureRequest(), sun_hours_asked(level, asked.get("TIME")))
+    options = options_asked(level, layer, asked)
+    if PRODUCTS[layer].when != "sun":
+        return ProductRequest(product=layer, options=options)
     style = style_named(asked.get(style_key), style_key)
-    if style is not None and layer not in STYLED_LAYERS:
+    if style is not None and not PRODUCTS[layer].is_display:
         raise InputError(style_key, style, OWN_STYLE)
-    return TileQuery(layer, PictureRequest(sun=sun_at_time(request, level, asked), style=style))
+    return ProductRequest(product=layer, options=options, sun=sun_at_time(request, level, asked), style=style)
 
 
 def this_year() -> int:

@@ -8,7 +8,7 @@ from datetime import UTC, date, datetime, timedelta
 
 from skugga.api.http.moments import CURRENT, OWN_TIME
 from skugga.api.http.state.served_levels import ServedLevel
-from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.api.products import PRODUCTS
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.sun_path import as_utc, check_date, check_times
 from skugga.terrain.level.level import parse_sun
@@ -74,7 +74,7 @@ def time_dimension(level: ServedLevel, layer: str, year: int, asked: str | None 
     that is the default. Raises ``InputError``.
     """
     own, day = own_time(level), default_date(level, year)
-    if layer == SUN_HOURS_LAYER:
+    if PRODUCTS[layer].when == "days":
         default = date_asked(None if asked == CURRENT else asked, day).isoformat()
         return TimeDimension(default, f"{day.year}-01-01/{day.year}-12-31/P1D")
     first = datetime(day.year, 1, 1, tzinfo=UTC) + _past_step(own)

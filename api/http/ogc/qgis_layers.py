@@ -12,10 +12,10 @@ from skugga.api.http.ogc.wmts_capabilities import TIME
 from skugga.api.http.parameters import OWN_STYLE
 from skugga.api.http.state.served_levels import DEFAULT_MATRIX_SET, ServedLevel
 from skugga.api.matrices import matrix_set_of
-from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.api.products.sun_hours import NAME as SUN_HOURS
 from skugga.terrain.geo.grid import crs_of_tiles
 
-QGIS_LAYERS = ("color", "shadow", SUN_HOURS_LAYER)
+QGIS_LAYERS = ("color", "shadow", SUN_HOURS)
 """Layers of the file; QGIS shows the first one at once."""
 
 HEIGHTS_TITLE = "heights"

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from pyproj import CRS
 from starlette.concurrency import run_in_threadpool
 
 from skugga.api.errors import NotServedError
-from skugga.api.http.answers import base_url, cache_headers, document_answer, is_fresh, tag_of
+from skugga.api.http.answers import base_url, document_answer
 from skugga.api.http.documented import WORK_ERRORS, LevelPath, exception_docs, file_docs, for_example, key_values
-from skugga.api.http.moments import fresh_for, time_headers
 from skugga.api.http.ogc.ogc_requests import (
     KeyValues,
     exception_answer,
@@ -20,9 +18,9 @@ from skugga.api.http.ogc.ogc_requests import (
     shown_asked,
     split_layer,
     sun_at_time,
-    sun_hours_asked,
     this_year,
 )
+from skugga.api.http.ogc.ogc_times import date_asked, default_date
 from skugga.api.http.ogc.ogc_xml import wms_exception
 from skugga.api.http.ogc.wms_capabilities import (
     INFO_MEDIA,
@@ -34,18 +32,19 @@ from skugga.api.http.ogc.wms_capabilities import (
     wms_capabilities,
 )
 from skugga.api.http.parameters import OWN_STYLE
-from skugga.api.http.points.point_answers import of_a_day, run_point
+from skugga.api.http.points.point_answers import of_a_day
 from skugga.api.http.points.point_documents import Rows, report_features, report_page, report_rows, report_text
+from skugga.api.http.state.job_answers import job_answer
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.state.service import Service, TheService
 from skugga.api.http.tiles.legends import legend_answer
 from skugga.api.http.tiles.map_extents import MapBounds, check_side, crs_code, crs_of_code, north_first, parse_bounds
 from skugga.api.http.tiles.maps import MapQuery, map_answer
-from skugga.api.layers import MAP_MEDIA_TYPES
 from skugga.api.point.values import PointQuery
-from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
-from skugga.api.workers.block_tiles import map_formats_of
-from skugga.api.workers.jobs import PictureRequest, PointJob
+from skugga.api.products import PRODUCTS
+from skugga.api.products.product import MEDIA_TYPES
+from skugga.api.request import PictureRequest
+from skugga.api.workers.jobs import PointJob
 from skugga.terrain.errors import InputError, SkuggaError, UnsupportedError
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, transformer
 
@@ -168,8 +167,8 @@ async def _map(request: Request, service: Service, asked: KeyValues) -> Response
     level, layer = await _layer(service, asked, "LAYERS")
     code, _, bounds, size = await run_in_threadpool(_extent, asked)
     format = format_named(asked.need("FORMAT", "a media type, as image/png"))
-    if format not in map_formats_of(layer):
-        raise InputError("FORMAT", MAP_MEDIA_TYPES[format], f"{map_formats_told(layer)} for layer {layer}")
+    if format not in PRODUCTS[layer].map_formats:
+        raise InputError("FORMAT", MEDIA_TYPES[format], f"{map_formats_told(layer)} for layer {layer}")
     shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLES")
     clear = (asked.get("TRANSPARENT") or "FALSE").upper() == "TRUE"
     background = None if clear else _background(asked.get("BGCOLOR") or "0xFFFFFF")
@@ -195,42 +194,36 @@ async def _feature_info(request: Request, service: Service, asked: KeyValues) ->
         raise InputError("INFO_FORMAT", media_type, ", ".join(INFO_MEDIA))
     x, y = west + (col + 0.5) * (east - west) / width, north - (row + 0.5) * (north - south) / height
     lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
-    sun_hours = layer == SUN_HOURS_LAYER
-    day = sun_hours_asked(level, asked.get("TIME")).date if sun_hours else None
-    sun = None if sun_hours else sun_at_time(request, level, asked)
+    is_of_days = PRODUCTS[layer].when == "days"
+    day = date_asked(asked.get("TIME"), default_date(level, this_year())) if is_of_days else None
+    sun = None if is_of_days else sun_at_time(request, level, asked)
     if not (abs(lon) <= 540.0 and abs(lat) <= 90.0):
-        remark, headers = "there is no place on earth there", {"Cache-Control": "no-store"}
-        if media_type == "application/json":
-            return _features(None, {"remark": remark}, headers)
-        return _in_words([("Remark", remark)], media_type, headers)
+        remark, is_json = "there is no place on earth there", media_type == "application/json"
+        text = report_features(None, {"remark": remark}) if is_json else _in_words([("Remark", remark)], media_type)
+        return Response(text, headers={"Cache-Control": "no-store"}, media_type=media_type)
     point, fresh_s = of_a_day(PointQuery(lon=lon, lat=lat, date=day), sun)
     job = PointJob(level=level.key, query=point, request=PictureRequest(sun=sun))
-    tag = tag_of(level.version, level.name, "info", job.model_dump(exclude={"level"}, exclude_none=True), media_type)
-    headers = cache_headers(tag, fresh_for(request, fresh_s)) | time_headers(request)
-    if is_fresh(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    report = json.loads(await run_point(request, service, job))
-    if media_type == "application/json":
-        return _features((report["lon"], report["lat"]), report, headers)
-    return _in_words(report_rows(report), media_type, headers)
+
+    def written(body: bytes) -> bytes:
+        report = json.loads(body)
+        if media_type == "application/json":
+            return report_features((report["lon"], report["lat"]), report).encode()
+        return _in_words(report_rows(report), media_type).encode()
+
+    return await job_answer(request, service, job, level.name, "info", media_type, fresh_s, written)
 
 
-def _features(place: tuple[float, float] | None, report: dict[str, Any], headers: dict[str, str]) -> Response:
-    return Response(report_features(place, report), headers=headers, media_type="application/json")
-
-
-def _in_words(rows: Rows, media_type: str, headers: dict[str, str]) -> Response:
-    return Response(report_page(rows) if media_type == "text/html" else report_text(rows), headers=headers, media_type=media_type)
+def _in_words(rows: Rows, media_type: str) -> str:
+    return report_page(rows) if media_type == "text/html" else report_text(rows)
 
 
 async def _legend(request: Request, service: Service, asked: KeyValues) -> Response:
     level, layer = await _layer(service, asked, "LAYER")
-    if layer != SUN_HOURS_LAYER:
-        raise InputError("LAYER", asked.get("LAYER"), f"a layer with a legend: {SUN_HOURS_LAYER}")
     if asked.get("STYLE") not in (None, OWN_STYLE):
         raise InputError("STYLE", asked.get("STYLE"), f"nothing, or {OWN_STYLE}")
     media_type = asked.get("FORMAT") or LEGEND_MEDIA[0]
     if media_type not in LEGEND_MEDIA:
         raise InputError("FORMAT", media_type, ", ".join(LEGEND_MEDIA))
     format = "svg" if media_type == LEGEND_MEDIA[1] else "png"
-    return await legend_answer(request, level, sun_hours_asked(level, asked.get("TIME")), format)  # type: ignore[arg-type]
+    shown = await run_in_threadpool(shown_asked, request, level, layer, asked, "STYLE")
+    return await legend_answer(request, level, shown, format, "LAYER")  # type: ignore[arg-type]

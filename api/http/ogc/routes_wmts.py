@@ -16,8 +16,8 @@ from skugga.api.http.parameters import OWN_STYLE
 from skugga.api.http.state.service import Service, TheService
 from skugga.api.http.tiles.tile_answers import tile_answer
 from skugga.api.http.tiles.tile_docs import EMPTY_DOCS
-from skugga.api.layers import MAP_MEDIA_TYPES
 from skugga.api.matrices import matrix_set_of
+from skugga.api.products.product import MEDIA_TYPES
 from skugga.terrain.errors import InputError, SkuggaError, UnsupportedError
 
 router = APIRouter(tags=["map services"], default_response_class=Response)
@@ -75,7 +75,7 @@ WMTS_KEYS = key_values(
 @router.get(
     "/wmts",
     summary="WMTS by keys and values",
-    responses=file_docs("The tile, or the document.", [*MAP_MEDIA_TYPES.values(), "text/xml"])
+    responses=file_docs("The tile, or the document.", [*MEDIA_TYPES.values(), "text/xml"])
     | EMPTY_DOCS
     | exception_docs(*WORK_ERRORS),
     openapi_extra=WMTS_KEYS | for_example("REQUEST", "LAYER", "TILEMATRIXSET", "TILEMATRIX", "TILEROW", "TILECOL", "FORMAT"),

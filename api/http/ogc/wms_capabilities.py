@@ -13,18 +13,16 @@ from skugga.api.http.moments import OWN_TIME
 from skugga.api.http.ogc.ogc_requests import gis_formats, layer_name, layer_title, styles_of
 from skugga.api.http.ogc.ogc_times import time_dimension
 from skugga.api.http.ogc.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
-from skugga.api.http.ogc.wmts_capabilities import hangs_on_time, layer_abstract, legend_url
-from skugga.api.http.parameters import TILE_LAYERS
+from skugga.api.http.ogc.wmts_capabilities import layer_abstract, legend_url
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.tiles.map_extents import bounds_in, crs_of_code, north_first
-from skugga.api.layers import MAP_MEDIA_TYPES
-from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
-from skugga.api.workers.block_tiles import map_formats_of
+from skugga.api.products import PRODUCTS, products_with
+from skugga.api.products.product import MEDIA_TYPES
 from skugga.terrain.errors import InputError
 
 WMS_VERSION = "1.3.0"
 
-WMS_LAYERS = tuple(name for name in TILE_LAYERS if hangs_on_time(name) and "png" in map_formats_of(name))
+WMS_LAYERS = products_with(lambda each: each.encoding is None and "png" in each.map_formats)
 """Layers of maps that are looked at. Heights in colours are for tiles; data of floating point map clients cannot show."""
 
 MAP_MEDIA = ("image/png", "image/webp", "image/jpeg", "image/tiff")
@@ -103,16 +101,17 @@ def _level(top: Element, level: ServedLevel, base_url: str, address: str, year: 
             add(box, tag, written((edge,)))
         for code, crs in all_crs.items():
             _bounding_box(element, level, code, crs)
-        times = time_dimension(level, layer, year)
-        default = {} if times.default == OWN_TIME else {"default": times.default}
-        add(element, "Dimension", times.span, name="time", units="ISO8601", **default)
+        if PRODUCTS[layer].when != "none":
+            times = time_dimension(level, layer, year)
+            default = {} if times.default == OWN_TIME else {"default": times.default}
+            add(element, "Dimension", times.span, name="time", units="ISO8601", **default)
         if level.loaded.level.attribution:
             add(add(element, "Attribution"), "Title", level.loaded.level.attribution)
         for name, about in styles_of(layer).items():
             style = add(element, "Style")
             add(style, "Name", name)
             add(style, "Title", f"{about[:1].upper()}{about[1:]}")
-        if layer == SUN_HOURS_LAYER:
+        if PRODUCTS[layer].color_scale is not None:
             legend = add(style, "LegendURL", width=str(LEGEND_SIZE_PX[0]), height=str(LEGEND_SIZE_PX[1]))
             add(legend, "Format", "image/png")
             _online(legend, legend_url(level, layer, address, year))
@@ -134,4 +133,4 @@ def _online(parent: Element, address: str) -> None:
 
 def map_formats_told(layer: str) -> str:
     """The media types of a layer's maps, in words."""
-    return ", ".join(MAP_MEDIA_TYPES[format] for format in gis_formats(layer))
+    return ", ".join(MEDIA_TYPES[format] for format in gis_formats(layer))

@@ -12,11 +12,11 @@ from pyproj import CRS
 from skugga.api.http.ogc.ogc_requests import gis_formats, layer_name, layer_title, styles_of
 from skugga.api.http.ogc.ogc_times import time_dimension
 from skugga.api.http.ogc.ogc_xml import XLINK, XSI, add, document, lon_lat_box, written
-from skugga.api.http.parameters import OWN_STYLE, TILE_LAYERS
+from skugga.api.http.parameters import OWN_STYLE
 from skugga.api.http.state.served_levels import ServedLevel
-from skugga.api.layers import LAYERS, MAP_MEDIA_TYPES
 from skugga.api.matrices import matrix_set_of, tile_limits
-from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.api.products import MAP_PRODUCTS, PRODUCTS
+from skugga.api.products.product import MEDIA_TYPES
 from skugga.terrain.geo.grid import crs_of_tiles
 
 WMTS_VERSION = "1.0.0"
@@ -48,7 +48,7 @@ def wmts_capabilities(levels: Sequence[ServedLevel], base_url: str, document_url
     _operations(root, base_url, document_url)
     contents = add(root, "Contents")
     for level in levels:
-        for layer in TILE_LAYERS:
+        for layer in MAP_PRODUCTS:
             _layer(contents, level, layer, base_url, year, time)
     for name in dict.fromkeys(name for level in levels for name in level.zooms):
         _matrix_set(contents, matrix_set_of(name), max(level.zooms[name].last for level in levels if name in level.zooms))
@@ -80,12 +80,11 @@ def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, yea
         style = add(element, "Style", **({"isDefault": "true"} if name == OWN_STYLE else {}))
         add(style, "ows:Title", f"{about[:1].upper()}{about[1:]}")
         add(style, "ows:Identifier", name)
-    if layer == SUN_HOURS_LAYER:
+    if PRODUCTS[layer].color_scale is not None:
         add(style, "LegendURL", format="image/png", xlink_href=legend_url(level, layer, f"{base_url}/wms", year))
     for format in gis_formats(layer):
-        add(element, "Format", MAP_MEDIA_TYPES[format])
-    timed = hangs_on_time(layer)
-    if timed:
+        add(element, "Format", MEDIA_TYPES[format])
+    if PRODUCTS[layer].when != "none":
         times = time_dimension(level, layer, year, time)
         dimension = add(element, "Dimension")
         add(dimension, "ows:Identifier", TIME)
@@ -98,29 +97,24 @@ def _layer(contents: Element, level: ServedLevel, layer: str, base_url: str, yea
     for format in gis_formats(layer):
         template = f"{address}/tiles/{{TileMatrixSet}}/{{TileMatrix}}/{{TileCol}}/{{TileRow}}.{format}"
         add(
-            element, "ResourceURL", format=MAP_MEDIA_TYPES[format], resourceType="tile",
+            element, "ResourceURL", format=MEDIA_TYPES[format], resourceType="tile",
             template=f"{template}?{query}" if query else template,
         )  # fmt: skip
 
 
 def legend_url(level: ServedLevel, layer: str, wms_url: str, year: int) -> str:
     """Where the legend of a layer is, at its default time: by WMS, since QGIS adds WMS's own keys to any address of a legend."""
-    asked = {
-        "SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetLegendGraphic", "FORMAT": "image/png",
-        "LAYER": layer_name(level, layer), "TIME": time_dimension(level, layer, year).default,
-    }  # fmt: skip
+    asked = {"SERVICE": "WMS", "VERSION": "1.3.0", "REQUEST": "GetLegendGraphic", "FORMAT": "image/png"}
+    asked["LAYER"] = layer_name(level, layer)
+    if PRODUCTS[layer].when != "none":
+        asked["TIME"] = time_dimension(level, layer, year).default
     return f"{wms_url}?{urlencode(asked, safe='/:')}"
 
 
 def layer_abstract(layer: str) -> str:
     """What a layer is, in a sentence."""
-    about = "hours of direct sun of a date" if layer == SUN_HOURS_LAYER else LAYERS[layer].about
+    about = PRODUCTS[layer].about.replace("`", "")
     return f"{about[:1].upper()}{about[1:]}."
-
-
-def hangs_on_time(layer: str) -> bool:
-    """Whether a layer is another one at another time."""
-    return layer == SUN_HOURS_LAYER or LAYERS[layer].encoding is None
 
 
 def _query_of(layer: str) -> Iterable[str]:
@@ -128,8 +122,8 @@ def _query_of(layer: str) -> Iterable[str]:
         yield f"layer={layer}"
     if len(styles_of(layer)) > 1:
         yield "style={Style}"
-    if hangs_on_time(layer):
-        yield f"{'date' if layer == SUN_HOURS_LAYER else 'time'}={{{TIME}}}"
+    if PRODUCTS[layer].when != "none":
+        yield f"{'date' if PRODUCTS[layer].when == 'days' else 'time'}={{{TIME}}}"
 
 
 def _links(element: Element, level: ServedLevel) -> None:

@@ -10,16 +10,17 @@ from fastapi import APIRouter, Body, Depends, Path, Query, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from skugga.api.http.answers import cache_headers, is_fresh, tag_of
 from skugga.api.http.documented import WORK_ERRORS, LevelPath, file_docs, problem_docs
-from skugga.api.http.moments import PLAIN_DATE, PLAIN_TIME, asked_sun, fresh_for, time_headers
+from skugga.api.http.moments import PLAIN_DATE, PLAIN_TIME, asked_sun
 from skugga.api.http.numbers import PLAIN_DECIMAL, PLAIN_WHOLE
 from skugga.api.http.parameters import TimeQuery, allow_only
 from skugga.api.http.points.point_answers import of_a_day, run_point
+from skugga.api.http.state.job_answers import job_answer
 from skugga.api.http.state.service import Service, TheService
 from skugga.api.point.horizon_formats import HORIZON_FORMATS
 from skugga.api.point.values import MAX_POINTS, PointQuery, PointReport, ReportedMoment, TrackPoint
-from skugga.api.workers.jobs import PictureRequest, PointJob, PointProduct, PointsJob
+from skugga.api.request import PictureRequest
+from skugga.api.workers.jobs import PointJob, PointProduct, PointsJob
 from skugga.shadows.point.terms import HIGHEST_EYE_M
 from skugga.terrain.errors import InputError
 from skugga.terrain.geo.sun_path import as_utc, check_times
@@ -232,11 +233,7 @@ async def _answer(
     sun = asked_sun(request, time, None, None, service.settings.time_grain_s)
     point, fresh_s = of_a_day(point, sun)
     job = PointJob(level=served.key, query=point, product=product, format=format, request=PictureRequest(sun=sun))
-    tag = tag_of(served.version, level, "point", job.model_dump(exclude={"level"}, exclude_none=True))
-    headers = cache_headers(tag, fresh_for(request, fresh_s)) | time_headers(request)
-    if is_fresh(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    return Response(await run_point(request, service, job), headers=headers, media_type=media_type)
+    return await job_answer(request, service, job, level, "point", media_type, fresh_s)
 
 
 def _request(time: datetime | None) -> PictureRequest:

@@ -15,7 +15,7 @@ from skugga.api.errors import ArchiveError, NotServedError
 from skugga.api.http.state.archive_file import ArchiveFile, changed
 from skugga.api.http.state.level_checks import LevelCheck
 from skugga.api.http.state.served_levels import ServedLevel
-from skugga.api.layers import LAYERS
+from skugga.api.products import PRODUCTS
 from skugga.terrain.errors import InputError, SkuggaError, printable
 
 log = logging.getLogger("skugga")
@@ -39,7 +39,7 @@ class LevelArchives:
         for archive in files.values():
             said = archive.of_skugga
             layer, format, tms, query = (str(said.get(key, "")) for key in ("layer", "format", "tms", "query"))
-            if layer in LAYERS and LAYERS[layer].encoding is not None:
+            if layer in PRODUCTS and PRODUCTS[layer].when == "none":
                 query = ""  # heights hang on no light
             if format == archive.format:
                 by_kind.setdefault((layer, format, tms, in_utc(query)), archive)

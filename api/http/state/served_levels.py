@@ -16,9 +16,8 @@ from pyproj import CRS
 from skugga.api.errors import NotServedError
 from skugga.api.file_stamps import Stamp, file_stamps, level_version, watched_files
 from skugga.api.http.state.level_checks import LevelCheck
-from skugga.api.layers import BETWEEN_LAYERS, MAP_LAYERS, PICTURE_LAYERS
 from skugga.api.matrices import LonLatBounds, ZoomRange, detail_m, matrix_set_of, served_matrix_sets, zoom_range
-from skugga.api.sun_hours_layer import SUN_HOURS_LAYER
+from skugga.api.products import MAP_PRODUCTS, PRODUCTS, VIEW_PRODUCTS
 from skugga.api.workers.jobs import LevelKey
 from skugga.terrain.errors import InputError, LevelError, SkuggaError, UnsupportedError, printable
 from skugga.terrain.geo.clock import time_zone_at
@@ -134,11 +133,20 @@ class ServedLevel:
             "views": list(level.views),
             "view_kinds": {name: {"kind": view.kind, "size": self.view_sizes[name]} for name, view in level.views.items()},
             "lights": {name: {"kind": kind} for name, kind in kinds.items()},
-            "layers": list(PICTURE_LAYERS),
-            "layers_between": list(BETWEEN_LAYERS),
+            "layers": [name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is None],
+            "layers_between": [name for name in VIEW_PRODUCTS if PRODUCTS[name].pass_layer is not None],
             "styles": list(STYLES),
             "style": self.style,
-            "map_layers": [*MAP_LAYERS, SUN_HOURS_LAYER],
+            "map_layers": list(MAP_PRODUCTS),
+            "products": [
+                {
+                    "name": name,
+                    "about": PRODUCTS[name].about,
+                    "when": PRODUCTS[name].when,
+                    "legend": bool(PRODUCTS[name].color_scale),
+                }
+                for name in MAP_PRODUCTS
+            ],
             "algorithms": list(served_algorithms()),
             "sun": sun,
             "sun_is_default": self.sun_is_default,

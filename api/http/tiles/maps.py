@@ -6,15 +6,16 @@ from dataclasses import dataclass
 
 from fastapi import Request, Response
 
-from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
-from skugga.api.http.moments import time_headers
-from skugga.api.http.parameters import TileQuery, check_pixels
+from skugga.api.encoding import check_format
+from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S
+from skugga.api.http.parameters import check_pixels
+from skugga.api.http.state.job_answers import job_answer
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.state.service import Service
 from skugga.api.http.tiles.map_extents import MapBounds
-from skugga.api.layers import LAYERS, MAP_MEDIA_TYPES, MapFormat
-from skugga.api.workers.block_tiles import check_format
-from skugga.api.workers.jobs import MapJob, PictureRequest, Snapshot
+from skugga.api.products.product import MEDIA_TYPES, MapFormat
+from skugga.api.request import ProductRequest
+from skugga.api.workers.jobs import MapJob
 from skugga.terrain.errors import InputError
 
 SAME_DEGREES = {"OGC:CRS84": "EPSG:4326"}
@@ -33,37 +34,25 @@ class MapQuery:
     bounds: MapBounds | None
     crs: str | None
     size: tuple[int, int]
-    shown: TileQuery
+    shown: ProductRequest
     format: MapFormat
     background: str | None = None
 
 
 async def map_answer(request: Request, service: Service, level: ServedLevel, asked: MapQuery) -> Response:
     """The map of a level, or 304 where the client has it. Raises ``SkuggaError``."""
-    layer = asked.shown.layer
-    check_format(layer, asked.format)
+    wanted, product = asked.shown, asked.shown.record
+    check_format(product, asked.format)
     check_pixels(asked.size, service.settings.max_snapshot_pixels)
     if asked.bounds is not None:
         _check_pixel_shape(asked.bounds, asked.size)
-    hangs_on_light = asked.shown.sun_hours is None and LAYERS[layer].encoding is None
     crs = asked.crs and SAME_DEGREES.get(asked.crs, asked.crs)
     job = MapJob(
-        level=level.key, bounds=asked.bounds, crs=crs, size=asked.size, layer=layer, format=asked.format,
-        background=asked.background, sun_hours=asked.shown.sun_hours,
-        request=asked.shown.picture if hangs_on_light else PictureRequest(),
+        level=level.key, bounds=asked.bounds, crs=crs, size=asked.size, format=asked.format, background=asked.background,
+        request=wanted,
     )  # fmt: skip
-    tag_parts = (level.version, level.name, "map", job.model_dump(exclude={"level"}, exclude_none=True))
-    fresh_s = service.fresh_s(request, OWN_SUN_S if hangs_on_light and asked.shown.picture.sun is None else GIVEN_SUN_S)
-    of_time = time_headers(request) if hangs_on_light else {}
-    headers = cache_headers(tag_of(service.pool.renderer, service.pool.plan_version(level.key), *tag_parts), fresh_s) | of_time
-    if is_fresh(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    kept = service.pool.finished(job) is not None
-    drawn = await service.done(request, job)
-    assert isinstance(drawn, Snapshot)
-    headers = cache_headers(tag_of(drawn.renderer, drawn.plan_version, *tag_parts), fresh_s)
-    headers |= of_time | drawn_headers(drawn, "map", kept, drawn.encode_ms)
-    return Response(drawn.body, headers=headers, media_type=MAP_MEDIA_TYPES[asked.format])
+    fresh_s = OWN_SUN_S if product.when == "sun" and wanted.sun is None else GIVEN_SUN_S
+    return await job_answer(request, service, job, level.name, "map", MEDIA_TYPES[asked.format], fresh_s)
 
 
 def _check_pixel_shape(bounds: MapBounds, size: tuple[int, int]) -> None:

@@ -15,8 +15,8 @@ from skugga.api.http.parameters import allow_only
 from skugga.api.http.state.served_archives import archive_facts
 from skugga.api.http.state.service import TheService
 from skugga.api.http.tiles.archived_tiles import archived_tile, read_tile
-from skugga.api.http.tiles.tilejson import encoding_entry, tilejson_answer
-from skugga.api.layers import LAYERS
+from skugga.api.http.tiles.tilejson import tilejson_answer
+from skugga.api.products import PRODUCTS
 
 router = APIRouter(tags=["archives"], dependencies=[Depends(allow_only())], responses=problem_docs(*LEVEL_ERRORS))
 
@@ -54,8 +54,8 @@ async def archive_tilejson(request: Request, service: TheService, archive: Archi
     served = await service.archives.current(archive)
     facts = archive_facts(archive, served)
     address = f"{base_url(request, service.settings.public_url)}/archives/{quote(archive)}"
-    layer = LAYERS.get(str(facts["layer"]))
-    more = encoding_entry(None if layer is None else layer.encoding)
+    product = PRODUCTS.get(str(facts["layer"]))
+    more = {} if product is None or product.encoding is None else {"encoding": product.encoding}
     return tilejson_answer(
         request, facts["title"], facts["attribution"], f"{address}/{{z}}/{{x}}/{{y}}.{served.format}",
         (facts["minzoom"], facts["maxzoom"]), served.bounds, more | ({"skugga": served.of_skugga} if served.of_skugga else {}),

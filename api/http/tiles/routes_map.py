@@ -9,13 +9,14 @@ from starlette.concurrency import run_in_threadpool
 
 from skugga.api.http.documented import LevelPath, for_example
 from skugga.api.http.numbers import PLAIN_WHOLE
-from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, map_query
+from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, map_query
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.state.service import TheService
 from skugga.api.http.tiles.map_extents import bounds_in, check_side, crs_code, crs_of_code, map_size, parse_bounds
 from skugga.api.http.tiles.maps import MapQuery, map_answer
 from skugga.api.http.tiles.tile_docs import JPEG, PICTURE_DOCS
-from skugga.api.layers import MapFormat
+from skugga.api.products.product import MapFormat
+from skugga.api.request import ProductRequest
 from skugga.terrain.errors import InputError
 
 router = APIRouter(tags=["maps"], responses=PICTURE_DOCS, default_response_class=Response)
@@ -32,7 +33,7 @@ async def map_of_level(
     service: TheService,
     level: LevelPath,
     format: Annotated[MapFormat, Path(description=f"`tif` is georeferenced; JPEG is for {JPEG} alone.", examples=["png"])],
-    wanted: Annotated[TileQuery, Depends(map_query)],
+    wanted: Annotated[ProductRequest, Depends(map_query)],
     bbox: Annotated[
         str | None,
         Query(
@@ -60,7 +61,7 @@ async def map_of_level(
 
 
 def _on_earth(
-    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], wanted: TileQuery, format: MapFormat
+    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], wanted: ProductRequest, format: MapFormat
 ) -> MapQuery:
     code = level.map_crs.to_string() if crs is None else crs_code(crs)
     in_crs = level.map_crs if crs is None else crs_of_code(code)
@@ -71,7 +72,7 @@ def _on_earth(
 
 
 def _off_the_earth(
-    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], wanted: TileQuery, format: MapFormat
+    level: ServedLevel, bbox: str | None, crs: str | None, sides: dict[str, int], wanted: ProductRequest, format: MapFormat
 ) -> MapQuery:
     for name, value in (("bbox", bbox), ("crs", crs)):
         if value is not None:

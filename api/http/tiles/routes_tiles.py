@@ -7,11 +7,12 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Request, Response
 
 from skugga.api.http.documented import ColumnPath, LevelPath, MatrixSetPath, RowPath, ZoomPath
-from skugga.api.http.parameters import TILE_PARAMETERS, TileQuery, allow_only, tile_query
+from skugga.api.http.parameters import TILE_PARAMETERS, allow_only, tile_query
 from skugga.api.http.state.service import TheService
 from skugga.api.http.tiles.tile_answers import tile_answer
 from skugga.api.http.tiles.tile_docs import EMPTY_DOCS, EXACT, JPEG, PICTURE_DOCS
-from skugga.api.layers import MapFormat
+from skugga.api.products.product import MapFormat
+from skugga.api.request import ProductRequest
 
 router = APIRouter(
     tags=["tiles"],
@@ -39,7 +40,7 @@ async def double_tile(
     x: ColumnPath,
     y: RowPath,
     format: FormatPath,
-    wanted: Annotated[TileQuery, Depends(tile_query)],
+    wanted: Annotated[ProductRequest, Depends(tile_query)],
 ) -> Response:
     """The four tiles of the next zoom that cover the tile, for dense screens."""
     return await tile_answer(request, service, level, tms, (z, x, y), 2, format, wanted)
@@ -55,7 +56,7 @@ async def tile(
     x: ColumnPath,
     y: RowPath,
     format: FormatPath,
-    wanted: Annotated[TileQuery, Depends(tile_query)],
+    wanted: Annotated[ProductRequest, Depends(tile_query)],
 ) -> Response:
     """A tile of a level. Off its data, but inside its zooms, it is transparent (a setting makes it 204 or 404)."""
     return await tile_answer(request, service, level, tms, (z, x, y), 1, format, wanted)

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
 
 from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 
+from skugga.api.encoding import ARRAY_FORMATS, check_format
 from skugga.api.errors import ArchiveError, NotServedError
 from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, reach_headers, tag_of
 from skugga.api.http.moments import time_headers
-from skugga.api.http.parameters import TileQuery
 from skugga.api.http.state.encoded_tiles import EncodedTile
 from skugga.api.http.state.service import Service
 from skugga.api.http.tiles.archived_tiles import archived_tile, read_tile
-from skugga.api.layers import LAYERS, MAP_MEDIA_TYPES, MapFormat, nodata_height_m
 from skugga.api.matrices import check_tile, doubles, matrix_set_of, off_data, tile_view
-from skugga.api.workers.block_tiles import ARRAY_FORMATS, check_format, empty_layer, empty_tile, encode, place_in_block
-from skugga.api.workers.jobs import BlockJob, BlockTiles, PictureRequest, SunHoursJob
+from skugga.api.products.product import MEDIA_TYPES, MapFormat
+from skugga.api.request import ProductRequest
+from skugga.api.workers.block_tiles import empty_file, empty_tile, place_in_block
+from skugga.api.workers.jobs import BlockJob, BlockTiles
 from skugga.terrain.geo.grid import TILE_PX
 
 
@@ -31,7 +31,7 @@ async def tile_answer(
     zxy: tuple[int, int, int],
     scale: int,
     format: MapFormat,
-    wanted: TileQuery,
+    wanted: ProductRequest,
 ) -> Response:
     """A tile of a level in a matrix set by zoom, column and row; ``scale`` 2 gives it twice as many pixels a side. Raises
     ``SkuggaError``.
@@ -40,13 +40,14 @@ async def tile_answer(
     check_tile(matrix_set, level.zooms_in(tms), *zxy)
     if scale == 2 and not doubles(matrix_set, zxy[0]):
         raise NotServedError("z", f"{tms} has no @2x tiles at zoom {zxy[0]}.")
-    check_format(wanted.layer, format)
+    product = wanted.record
+    check_format(product, format)
     assert level.data_bounds is not None  # it has zooms, so it has a place on earth
     empty = off_data(matrix_set, *zxy, level.data_bounds)
-    longest_s = OWN_SUN_S if wanted.sun_hours is None and wanted.picture.sun is None else GIVEN_SUN_S
+    longest_s = OWN_SUN_S if product.when != "days" and wanted.sun is None else GIVEN_SUN_S
     by: tuple[str | None, ...] = service.pool.renderer, service.pool.plan_version(level.key)
     archives = await service.archives.of_level(level)
-    archive = archives.answering(wanted.layer, format, tms, wanted.picture_query(), zxy[0]) if scale == 1 and not empty else None
+    archive = archives.answering(product.name, format, tms, wanted.product_query(), zxy[0]) if scale == 1 and not empty else None
     if archive is not None:
         with suppress(ArchiveError):  # the log tells; the tile is drawn
             body = await read_tile(archive, *zxy)
@@ -59,7 +60,7 @@ async def tile_answer(
     if empty and service.settings.empty_tile == "404":
         raise NotServedError("x", f"{name} has no data in tile {zxy[1]}, {zxy[2]} of zoom {zxy[0]}.")
 
-    tag_parts: tuple[object, ...] = (level.version, name, tms, zxy, scale, format, wanted.layer, wanted.query())
+    tag_parts: tuple[object, ...] = (level.version, name, tms, zxy, scale, format, product.name, wanted.query())
     if archive is not None and empty:
         tag_parts += (archive.version,)  # drawn, the tile may be another one
     of_time = time_headers(request)
@@ -69,13 +70,12 @@ async def tile_answer(
     if empty:
         if service.settings.empty_tile == "204":
             return Response(status_code=204, headers=headers)
-        nodata_m = nodata_height_m(level.lowest_m)
         if format in ARRAY_FORMATS:
-            nowhere = empty_layer(wanted.layer, scale * TILE_PX, scale * TILE_PX, nodata_m)
-            body = await run_in_threadpool(encode, nowhere, wanted.layer, format, tile_view(matrix_set, *zxy, scale))
+            shape, where = (scale * TILE_PX, scale * TILE_PX), tile_view(matrix_set, *zxy, scale)
+            body = await run_in_threadpool(empty_file, wanted, shape, format, level.lowest_m, where)
         else:
-            body = await run_in_threadpool(empty_tile, wanted.layer, format, scale, nodata_m)
-        return Response(body, headers={**headers, **reach_headers("none")}, media_type=MAP_MEDIA_TYPES[format])
+            body = await run_in_threadpool(empty_tile, wanted, format, scale, level.lowest_m)
+        return Response(body, headers={**headers, **reach_headers("none")}, media_type=MEDIA_TYPES[format])
 
     tile = service.tiles.get(headers["ETag"])
     if tile is not None:
@@ -83,16 +83,10 @@ async def tile_answer(
         service.tiles.put(request, tile, name, (level.version, *by, archives.version))
         return tile.answer(request)
     (block_x, block_y), place = place_in_block(zxy[1] * scale, zxy[2] * scale, scale)
-    where: dict[str, Any] = {
-        "level": level.key, "matrix_set": tms, "zoom": zxy[0] + scale - 1, "block_x": block_x, "block_y": block_y,
-        "format": format, "tiles": scale,
-    }  # fmt: skip
-    job: BlockJob | SunHoursJob
-    if wanted.sun_hours is None:
-        of_a_light = LAYERS[wanted.layer].encoding is None
-        job = BlockJob(**where, layer=wanted.layer, request=wanted.picture if of_a_light else PictureRequest())
-    else:
-        job = SunHoursJob(**where, query=wanted.sun_hours)
+    job = BlockJob(
+        level=level.key, matrix_set=tms, zoom=zxy[0] + scale - 1, block_x=block_x, block_y=block_y, format=format, tiles=scale,
+        request=wanted,
+    )  # fmt: skip
     kept = service.pool.finished(job) is not None
     block = await service.done(request, job)
     assert isinstance(block, BlockTiles)
@@ -103,6 +97,6 @@ async def tile_answer(
         cache_headers(tag, fresh_s) | of_time | drawn_headers(block, "block", kept, block.encode_ms)
         for kept in (kept or not block.drawn, True)
     )  # fmt: skip
-    tile = EncodedTile(block.tiles[place], again, MAP_MEDIA_TYPES[format])
+    tile = EncodedTile(block.tiles[place], again, MEDIA_TYPES[format])
     service.tiles.put(request, tile, name, (level.version, *by, archives.version))
     return Response(tile.body, headers=made, media_type=tile.media_type)

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from skugga.api.http.documented import WORK_ERRORS, Answers, file_docs, problem_docs
-from skugga.api.layers import LAYERS, MAP_LAYERS, MAP_MEDIA_TYPES
+from skugga.api.products import MAP_PRODUCTS, PRODUCTS
+from skugga.api.products.product import MEDIA_TYPES
 from skugga.selector.formatting import format_list
 
 PICTURE_DOCS: Answers = {
-    **file_docs(
-        "The picture. `X-Skugga-Caster-Reach` says how far towards the sun casters were looked for.", MAP_MEDIA_TYPES.values()
-    ),
+    **file_docs("The picture. `X-Skugga-Caster-Reach` says how far towards the sun casters were looked for.", MEDIA_TYPES.values()),
     **problem_docs(*WORK_ERRORS),
 }
 
 EMPTY_DOCS: Answers = {204: {"description": "No data there, where `SKUGGA_EMPTY_TILE` is 204."}}
 
-EXACT = format_list([f"`{name}`" for name in MAP_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
+EXACT = format_list([f"`{name}`" for name in MAP_PRODUCTS if not PRODUCTS[name].is_display], most=len(PRODUCTS))
 """Layers to compute with, in words."""
 
-JPEG = format_list([f"`{name}`" for name in MAP_LAYERS if "jpg" in LAYERS[name].formats], most=len(LAYERS))
+JPEG = format_list([f"`{name}`" for name in MAP_PRODUCTS if "jpg" in PRODUCTS[name].formats], most=len(PRODUCTS))
 """Layers that there are as JPEG, in words."""

@@ -8,14 +8,6 @@ from fastapi import Request, Response
 
 from skugga.api.http.answers import json_answer
 
-ENCODINGS = "mapbox", "terrarium"
-"""Encodings of heights that map clients know by these names."""
-
-
-def encoding_entry(encoding: str | None) -> dict[str, Any]:
-    """The entry that says in which encoding heights are told; none where they are not, or in one that clients do not know."""
-    return {"encoding": encoding} if encoding in ENCODINGS else {}
-
 
 def tilejson_answer(
     request: Request,

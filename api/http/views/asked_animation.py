@@ -13,8 +13,8 @@ from skugga.api.film_span import USUAL_FPS, film_span
 from skugga.api.http.parameters import served_settings, style_named
 from skugga.api.http.state.served_levels import ServedLevel
 from skugga.api.http.views.cameras import FURTHEST_UP_M, POSITION_WORDS
+from skugga.api.request import PictureRequest
 from skugga.api.settings import Settings
-from skugga.api.workers.jobs import PictureRequest
 from skugga.selector.film_request import ALONG_PATH, FilmSpan
 from skugga.terrain.errors import Fault, InputError
 from skugga.terrain.geo.sun_path import as_utc, check_times

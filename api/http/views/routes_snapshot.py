@@ -6,9 +6,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
-from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S, cache_headers, drawn_headers, is_fresh, tag_of
+from skugga.api.http.answers import GIVEN_SUN_S, OWN_SUN_S
 from skugga.api.http.documented import LevelPath, file_docs, for_example
-from skugga.api.http.moments import time_headers
 from skugga.api.http.numbers import PLAIN_DECIMAL
 from skugga.api.http.parameters import (
     PICTURE_PARAMETERS,
@@ -19,11 +18,14 @@ from skugga.api.http.parameters import (
     parse_size,
     picture_query,
 )
+from skugga.api.http.state.job_answers import job_answer
 from skugga.api.http.state.service import TheService
 from skugga.api.http.tiles.tile_docs import JPEG, PICTURE_DOCS
 from skugga.api.http.views.cameras import CAMERA_PARAMETERS, camera_query
-from skugga.api.layers import LAYERS, MEDIA_TYPES, VIEW_LAYERS, PictureFormat, view_formats
-from skugga.api.workers.jobs import PictureRequest, Snapshot, SnapshotJob
+from skugga.api.products import PRODUCTS, VIEW_PRODUCTS, product_named
+from skugga.api.products.product import MEDIA_TYPES, PictureFormat
+from skugga.api.request import PictureRequest, ProductRequest
+from skugga.api.workers.jobs import SnapshotJob
 from skugga.selector.formatting import format_list
 from skugga.terrain.errors import InputError
 from skugga.terrain.level.parts import PerspectiveSpec
@@ -35,7 +37,7 @@ router = APIRouter(
 MADE_VIEW = "made"
 """What a view that a request makes is called in its plan."""
 
-OF_ONE_LIGHT = format_list([f"`{name}`" for name in VIEW_LAYERS if not LAYERS[name].to_look_at], most=len(LAYERS))
+OF_ONE_LIGHT = format_list([f"`{name}`" for name in VIEW_PRODUCTS if not PRODUCTS[name].is_display], most=len(PRODUCTS))
 """Layers that show the shadow of one light, in words."""
 
 
@@ -79,8 +81,9 @@ async def snapshot(
     and a `target`: as a view of a level file they are lists, `eye: [8.43, 47.5, 300]`.
     """
     served = await service.level(level)
-    if format not in view_formats(layer):
-        raise InputError("format", format, f"{', '.join(view_formats(layer))} for layer {layer}")
+    product = product_named(layer, VIEW_PRODUCTS)
+    if format not in product.view_formats:
+        raise InputError("format", format, f"{', '.join(product.view_formats)} for layer {layer}")
     if seen_from is not None and view is not None:
         raise InputError("view", view, "nothing beside eye and target, which are a view of their own")
     name = MADE_VIEW if seen_from is not None else served.view_named(view)
@@ -92,19 +95,9 @@ async def snapshot(
     if light is not None and light not in lights:
         raise InputError("light", light, ", ".join(lights))
     job = SnapshotJob(
-        level=served.key, view=name, seen_from=seen_from, layer=layer, format=format, size=given_size,
-        light=None if LAYERS[layer].to_look_at else light, seconds=seconds, request=wanted,
+        level=served.key, view=name, seen_from=seen_from, format=format, size=given_size,
+        light=None if product.is_display else light, seconds=seconds,
+        request=ProductRequest(product=layer, **dict(wanted)),
     )  # fmt: skip
-
-    tag_parts = (served.version, level, "snapshot", job.model_dump(exclude={"level"}, exclude_none=True))
-    fresh_s = service.fresh_s(request, OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S)
-    of_time = time_headers(request)
-    headers = cache_headers(tag_of(service.pool.renderer, service.pool.plan_version(served.key), *tag_parts), fresh_s) | of_time
-    if is_fresh(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    kept = service.pool.finished(job) is not None
-    drawn = await service.done(request, job)
-    assert isinstance(drawn, Snapshot)
-    headers = cache_headers(tag_of(drawn.renderer, drawn.plan_version, *tag_parts), fresh_s) | of_time
-    headers |= drawn_headers(drawn, "snapshot", kept, drawn.encode_ms)
-    return Response(drawn.body, headers=headers, media_type=MEDIA_TYPES[format])
+    fresh_s = OWN_SUN_S if wanted.sun is None else GIVEN_SUN_S
+    return await job_answer(request, service, job, level, "snapshot", MEDIA_TYPES[format], fresh_s)

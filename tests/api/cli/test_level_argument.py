@@ -14,7 +14,7 @@ from PIL import Image
 from skugga.api.catalogue import bundled_levels
 from skugga.api.http.server import server
 from skugga.api.http.state.served_levels import ServedLevels
-from skugga.api.layers import MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.products.mask import MASK_NO_SURFACE, MASK_SHADOW
 from skugga.api.settings import Settings
 from skugga.api.workers.spawned import Spawned
 from skugga.terrain.errors import InputError

@@ -14,7 +14,7 @@ import pytest
 import rasterio
 from PIL import Image
 
-from skugga.api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.products.mask import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
 from tests.rasters import write_geotiff
 
 SMALL = ("--size", "96x100", "--azimuth", "246", "--altitude", "12")
@@ -179,7 +179,7 @@ def test_what_nobody_foresaw_is_one_line_too(run, tmp_path, monkeypatch):
     def broken(*_: object) -> None:
         raise ZeroDivisionError("of all things")
 
-    monkeypatch.setattr("skugga.api.cli.snapshot.render_frame", broken)
+    monkeypatch.setattr("skugga.api.cli.snapshot.compute", broken)
     status, _, err = run("render", "jacksboro", *SMALL, "-o", str(tmp_path / "x.png"))
     assert status == 1 and err.count("\n") == 1 and "ZeroDivisionError" in err and "--debug" in err
 
@@ -193,7 +193,7 @@ def test_a_signal_that_meets_a_compiled_loop_ends_in_order(run, tmp_path, monkey
     def interrupted(*_: object) -> None:
         raise SystemError("returned a result with an exception set") from ended_by
 
-    monkeypatch.setattr("skugga.api.cli.snapshot.render_frame", interrupted)
+    monkeypatch.setattr("skugga.api.cli.snapshot.compute", interrupted)
     status, _, err = run("render", "jacksboro", *SMALL, "--azimuth", "200", "--altitude", "30", "-o", str(tmp_path / "x.png"))
     assert (status, err) == expected
 

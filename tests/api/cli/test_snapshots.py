@@ -14,9 +14,11 @@ import pytest
 from PIL import Image
 
 from skugga.api.cli.snapshot import snapshot
+from skugga.api.encoding import encode_picture
 from skugga.api.http.server.app import create_app
 from skugga.api.http.state.served_levels import ServedLevels
-from skugga.api.layers import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW, encode_picture, picture_layer
+from skugga.api.products.mask import MASK_LIT, MASK_NO_SURFACE, MASK_SHADOW
+from skugga.api.request import ProductRequest
 from skugga.api.settings import Settings
 from skugga.api.workers.jobs import LevelKey
 from skugga.api.workers.process_life import resident_bytes
@@ -85,13 +87,18 @@ def test_a_snapshot_is_what_is_drawn_in_this_process(yards: Client, yard: Path, 
     size = None if view == "across" else (64, 48)
     asked = {"view": view, "azimuth": 200, "altitude": 30, "map_size": 512, "depth_bits": 24, "filter": 2, "seconds": 1.5}
     overrides = {"map_size": 512, "depth_bits": 24, "filter": 2}
-    _, frame = snapshot(yard, view, SunSpec(azimuth=200, altitude=30), overrides, size, seconds=1.5)
+    sun = SunSpec(azimuth=200, altitude=30)
+
+    def here(layer: str, light: str | None = None) -> np.ndarray:
+        request = ProductRequest(product=layer, sun=sun)
+        return snapshot(yard, view, request, overrides, size, seconds=1.5, light=light).computed.array
+
     asked |= {} if size is None else {"size": "64x48"}
     for layer, format in (("color", "png"), ("color", "webp"), ("color", "jpg"), ("shadow", "png"), ("mask", "webp")):
         answer = yards.get(f"{YARD}.{format}", params={**asked, "layer": layer})
-        assert answer.content == encode_picture(picture_layer(frame, layer), f".{format}"), (layer, format)
+        assert answer.content == encode_picture(here(layer), format), (layer, format)
     lamp = yards.get(f"{YARD}.png", params={**asked, "layer": "mask", "light": "lamp"})
-    assert lamp.content == encode_picture(picture_layer(frame.under("lamp"), "mask"), ".png")
+    assert lamp.content == encode_picture(here("mask", "lamp"), "png")
 
 
 def test_the_sky_is_opaque_and_has_no_shadow(yards: Client):

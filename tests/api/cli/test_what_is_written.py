@@ -106,7 +106,7 @@ def test_on_a_terminal_it_is_said_what_was_written(run, raster, tmp_path, termin
     out = tmp_path / "mask.tif"
     status, _, err = run("shade", str(raster), *SUN, "-o", str(out))
     assert status == 0 and err.count("\n") == 1
-    assert f"wrote {out}: mask, 0 shadow, 255 lit" in err and "120 x 90 cells, WGS 84 / UTM zone 33N" in err
+    assert f"wrote {out}: mask, gray: 0 shadow, 255 lit" in err and "120 x 90 cells, WGS 84 / UTM zone 33N" in err
     status, _, err = run("sunhours", str(raster), "--date", "2024-12-21", "--step", "60m", "-o", str(tmp_path / "h.tif"))
     assert status == 0 and "hours of direct sun, mean of the dates (h), 120 x 90 cells" in err
 

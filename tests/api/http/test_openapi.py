@@ -113,7 +113,8 @@ def beside(operation: dict[str, Any], parameter: dict[str, Any]) -> dict[str, An
         other, degrees = ("altitude", 22) if name.lower() == "azimuth" else ("azimuth", 235)
         return {other.upper() if name.isupper() else other: degrees}
     of_sun_hours = "least_altitude" in {each["name"] for each in parameters(operation)}
-    if of_sun_hours and (name in SUN_HOURS_ALONE or (name == "height" and parameter["description"].startswith("Metres"))):
+    is_eye_height = name == "height" and parameter["description"].endswith("Metres above the ground.")
+    if of_sun_hours and (name in SUN_HOURS_ALONE or is_eye_height):
         return {"layer": "sunhours", "date": "2024-03-21"}
     if name in CAMERA_PARAMETERS:
         return {"eye": "8.43,47.5,300", "target": "8.44,47.51,0"}

@@ -12,8 +12,8 @@ import pytest
 
 from skugga.api.cli import main as cli
 from skugga.api.http.parameters import picture_query
+from skugga.api.request import RequestedSettings
 from skugga.api.settings import Settings
-from skugga.api.workers.jobs import RequestedSettings
 
 SMALL = ("--size", "64x64", "--azimuth", "246", "--altitude", "12")
 

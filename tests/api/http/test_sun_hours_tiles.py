@@ -11,7 +11,7 @@ from morecantile import tms
 from PIL import Image
 
 from skugga.api.color_scale import ColorScale
-from skugga.api.sun_hours_layer import SunHoursQuery
+from skugga.api.products.sun_hours import PRODUCT, SunHoursOptions
 from tests.api.conftest import Client
 from tests.api.http.test_problems import check_problem
 
@@ -84,7 +84,7 @@ def test_the_legend_is_a_picture_and_numbers(client: Client):
     [
         ("layer=sunhours", "date"), ("layer=sunhours&date=2023-02-29", "date"), (f"{ASKED}&time=2024-12-21T09:00Z", "time"),
         (f"{ASKED}&algorithm=sweep", "algorithm"), ("date=2024-12-21", "date"), (f"{ASKED}&window=16:00-08:00", "window"),
-        (f"{ASKED}&quantity=days", "quantity"), (f"{ASKED}&height=-1", "height"),
+        (f"{ASKED}&quantity=weeks", "quantity"), (f"{ASKED}&height=-1", "height"),
         ("layer=hours", "layer"),
     ],
 )  # fmt: skip
@@ -99,8 +99,9 @@ def test_of_layers_that_are_pictures_there_is_no_legend(client: Client):
 
 def test_polar_night_has_a_scale_too(globe_at):
     for lat, day in ((80.0, date(2024, 12, 21)), (80.0, date(2024, 6, 21)), (45.0, date(2024, 3, 21))):
-        for quantity in ("hours", "first", "last", "longest"):
-            scale = SunHoursQuery(date=day, quantity=quantity).color_scale(globe_at(10.0, lat))
+        for quantity in ("hours", "first", "last", "longest", "days"):
+            assert PRODUCT.color_scale is not None
+            scale = PRODUCT.color_scale(SunHoursOptions(date=day, quantity=quantity), globe_at(10.0, lat))
             assert scale.low < scale.high and 2 <= len(scale.ticks) <= 8
             assert scale.ticks[0][0] == scale.low
 

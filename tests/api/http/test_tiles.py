@@ -11,16 +11,18 @@ import pytest
 from morecantile import tms as matrix_sets
 from PIL import Image
 
+from skugga.api.compute import compute
+from skugga.api.encoding import encode
 from skugga.api.http.server.app import create_app
 from skugga.api.http.state.level_checks import LevelCheck
-from skugga.api.layers import picture_layer
+from skugga.api.products import MAP_PRODUCTS, PRODUCTS
+from skugga.api.request import ProductRequest
 from skugga.api.settings import Settings
-from skugga.api.workers.block_tiles import encode
 from skugga.terrain.level.level import load_level
 from skugga.terrain.scene import build_scene
 from tests.api.conftest import CORNER, ZOOM, Client, running, write_level
 from tests.api.workers import fake_workers
-from tests.render import render
+from tests.render import plan_of
 
 X, Y = CORNER
 TILES = "/levels/hills/tiles/WebMercatorQuad"
@@ -71,21 +73,42 @@ def test_webp_of_data_layers_is_without_loss(client: Client):
         assert np.array_equal(np.asarray(png.convert("RGBA")), np.asarray(webp.convert("RGBA")))
 
 
-def test_tiles_of_four_blocks_are_a_direct_render_of_them_all(client: Client, hills_level):
+def test_tiles_of_four_blocks_are_computed_as_one_map(client: Client, hills_level):
     """2 x 2 tiles that meet at the corner of four blocks, byte by byte."""
     matrix_set = matrix_sets.get("WebMercatorQuad")
     northwest, southeast = matrix_set.xy_bounds(X - 1, Y - 1, ZOOM), matrix_set.xy_bounds(X, Y, ZOOM)
     scene = build_scene(load_level(hills_level))
     bounds = northwest.left, southeast.bottom, southeast.right, northwest.top
-    frame = render(scene, scene.view(bounds=bounds, crs="EPSG:3857", size=(512, 512)))
-    assert frame.there.any() and (frame.visibility == 0).any()
+    view = scene.view(bounds=bounds, crs="EPSG:3857", size=(512, 512))
     for layer in ("color", "shadow", "mask"):
-        whole = picture_layer(frame, layer)
+        whole = compute(scene, view, ProductRequest(product=layer), plan_of(scene, view)).array
+        assert len(np.unique(whole.reshape(-1, whole.shape[-1] if whole.ndim == 3 else 1), axis=0)) > 2
         for row in range(2):
             for col in range(2):
                 answer = client.get(f"{TILES}/{ZOOM}/{X - 1 + col}/{Y - 1 + row}.png", params={"layer": layer})
                 part = whole[row * 256 : row * 256 + 256, col * 256 : col * 256 + 256]
-                assert answer.content == encode(np.ascontiguousarray(part), layer, "png"), (layer, row, col)
+                assert answer.content == encode(np.ascontiguousarray(part), PRODUCTS[layer], "png"), (layer, row, col)
+
+
+@pytest.mark.parametrize("layer", MAP_PRODUCTS)
+def test_a_tile_is_the_same_pixels_of_a_larger_map(client: Client, layer: str):
+    """Of every product, whatever it is made of. Tiles of four blocks, but for hours of sun, whose blocks take seconds: of one."""
+    columns, rows = ((X, X + 1), (Y,)) if layer == "sunhours" else ((X - 1, X), (Y - 1, Y))
+    matrix_set, format = matrix_sets.get("WebMercatorQuad"), "npy" if "npy" in PRODUCTS[layer].map_formats else "png"
+    first, last = matrix_set.xy_bounds(columns[0], rows[0], ZOOM), matrix_set.xy_bounds(columns[-1], rows[-1], ZOOM)
+    asked = {"layer": layer, **({"date": "2024-12-21"} if layer == "sunhours" else {})}
+    extent = {"bbox": f"{first.left},{last.bottom},{last.right},{first.top}", "crs": "EPSG:3857", "width": 512}
+
+    def read(path: str, **more: object) -> np.ndarray:
+        answer = client.get(f"{path}.{format}", params={**asked, **more})
+        assert answer.status_code == 200, answer.text
+        body = io.BytesIO(answer.content)
+        return np.load(body) if format == "npy" else np.asarray(Image.open(body).convert("RGBA"))
+
+    whole = read("/levels/hills/map", **extent)
+    tiles = [np.concatenate([read(f"{TILES}/{ZOOM}/{x}/{y}") for x in columns], axis=1) for y in rows]
+    np.testing.assert_array_equal(np.concatenate(tiles), whole)
+    assert len(np.unique(whole[np.isfinite(whole)])) > 1, "it shows something"
 
 
 def test_a_double_tile_is_the_four_tiles_of_the_next_zoom(client: Client):

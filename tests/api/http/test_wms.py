@@ -142,6 +142,16 @@ def test_time(client: Client):
     assert "x-skugga-time" in client.get("/wms", params={**MAP, "TIME": "current"}).headers
 
 
+def test_options_of_products_are_keys(client: Client):
+    """They count, in any case of letters; wrong ones and those of another product are refused."""
+    hours = {**MAP, "LAYERS": "hills:sunhours", "TIME": "2024-12-21"}
+    shown, first = (pixels(client.get("/wms", params={**hours, **more})) for more in ({}, {"quantity": "first"}))
+    assert shown.any() and (shown != first).any()
+    for wrong in ({**hours, "QUANTITY": "weeks"}, {**MAP, "QUANTITY": "first"}):
+        answer = client.get("/wms", params=wrong)
+        assert answer.status_code == 422 and 'locator="QUANTITY"' in answer.text, answer.text
+
+
 def test_what_is_at_a_point(client: Client):
     """The pixel's place, its elevation by the layer of heights, and whether it is lit by the mask."""
     answer = client.get("/wms", params={**INFO, "INFO_FORMAT": "application/json"})

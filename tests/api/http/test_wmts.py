@@ -32,7 +32,7 @@ KEYS = {
     "TILEMATRIXSET": "WebMercatorQuad", "TILEMATRIX": str(ZOOM), "TILECOL": str(X), "TILEROW": str(Y),
 }  # fmt: skip
 
-LAYERS = {"color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium", "sunhours"}
+LAYERS = {"color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium", "cosi", "sunhours"}
 
 ORDER = {
     "Layer": [

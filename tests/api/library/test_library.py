@@ -15,7 +15,7 @@ from affine import Affine
 from PIL import Image
 
 import skugga
-from skugga.api.layers import MASK_SHADOW
+from skugga.api.products.mask import MASK_SHADOW
 from tests.rasters import write_geotiff
 
 THREADED = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

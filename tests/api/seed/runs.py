@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from skugga.api.matrices import ZoomRange
+from skugga.api.request import ProductRequest, RequestedSettings
 from skugga.api.seed.drawing import Drawer
 from skugga.api.seed.messages import Drawn, NotDrawn, Task
 from skugga.api.seed.planning import PlannedRun, SeedRequest, plan_run
@@ -17,7 +18,6 @@ from skugga.api.seed.running import TaskEnd
 from skugga.api.seed.seeding import Seeded, draw_and_publish
 from skugga.api.seed.storage import FolderStore
 from skugga.api.seed.task_table import TaskTable
-from skugga.api.workers.jobs import RequestedSettings
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
 from tests.rasters import write_geotiff
@@ -87,7 +87,8 @@ class Run:
     @property
     def request(self) -> SeedRequest:
         source = LevelSource(path=self.level.resolve())
-        return SeedRequest(source, ZoomRange(*self.zooms), self.suns, self.layer, "png", RequestedSettings.of(self.settings))
+        asked = ProductRequest(product=self.layer, overrides=RequestedSettings.of(self.settings))
+        return SeedRequest(source, ZoomRange(*self.zooms), self.suns, asked, "png")
 
     def __call__(self, fate: Fate | None = None, **options: object) -> tuple[Seeded, list[Task]]:
         """Seed; what was done, and the tasks that were drawn."""

@@ -9,6 +9,7 @@ import pytest
 from pmtiles.reader import MmapSource, Reader
 from pmtiles.tile import tileid_to_zxy
 
+from skugga.api.request import ProductRequest
 from skugga.api.seed import planning
 from skugga.api.seed.archive import ShardIndex
 from skugga.api.seed.messages import NotDrawn
@@ -63,7 +64,7 @@ def test_tiles_are_those_that_a_service_sends(run: Run):
     for task in drawn:
         job = BlockJob(
             level=level, matrix_set="WebMercatorQuad", zoom=task.zoom, block_x=task.x, block_y=task.y,
-            request=planning.PictureRequest(sun=LOW_SUN),
+            request=ProductRequest(sun=LOW_SUN),
         )  # fmt: skip
         tiles = run_job(job, state).tiles
         sent |= {(task.zoom, 4 * task.x + col, 4 * task.y + row): body for (row, col), body in tiles.items()}

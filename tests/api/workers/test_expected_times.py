@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
-from skugga.api.sun_hours_layer import SunHoursQuery
 from skugga.api.workers.expected_times import FIRST_GUESS_S, USUAL_PX, ExpectedTimes
 from skugga.api.workers.jobs import Job, LevelKey, MapJob
+from tests.products import sun_hours_of
 
 LEVEL = LevelKey(path=Path("hills.yaml"), version="1")
 
 
 def a_map(side: int, **more: object) -> MapJob:
-    return MapJob(level=LEVEL, bounds=(0.0, 0.0, 1.0, 1.0), crs="EPSG:4326", size=(side, side), layer="color", format="png", **more)
+    return MapJob(level=LEVEL, bounds=(0.0, 0.0, 1.0, 1.0), crs="EPSG:4326", size=(side, side), format="png", **more)
 
 
 def test_there_is_a_first_guess_of_every_job():
@@ -25,5 +25,5 @@ def test_maps_are_learnt_by_the_pixel_and_hours_of_sun_apart():
     assert times.of(a_map(2000)) == 4 * times.of(a_map(1000)) == 4 * FIRST_GUESS_S[MapJob] * 1e6 / USUAL_PX
     times.learn(a_map(1000), 0.2)
     assert abs(times.of(a_map(2000)) - 0.8) < 1e-9
-    of_a_date = a_map(1000, sun_hours=SunHoursQuery(date="2024-03-21"))
+    of_a_date = a_map(1000, request=sun_hours_of(date="2024-03-21"))
     assert times.of(of_a_date) == FIRST_GUESS_S[MapJob] * 1e6 / USUAL_PX

@@ -11,10 +11,11 @@ from typing import Any
 import pytest
 
 from skugga.api.errors import LaterError
+from skugga.api.request import ProductRequest
 from skugga.api.settings import Settings
 from skugga.api.workers.admission import check_admission, is_tile, retry_after_s
 from skugga.api.workers.job_queue import JobQueue, PendingJob
-from skugga.api.workers.jobs import BlockJob, Job, MapJob, PlanJob, SnapshotJob
+from skugga.api.workers.jobs import Job, MapJob, PlanJob, SnapshotJob
 from tests.api.workers.test_pool import LEVEL, block
 
 SETTINGS = Settings(workers=1, queue_timeout_s=20.0)
@@ -22,7 +23,7 @@ SCREEN = SETTINGS.queue_length
 
 
 def snapshot(number: int) -> SnapshotJob:
-    return SnapshotJob(level=LEVEL, view="map", layer="color", format="png", size=(640 + number, 480))
+    return SnapshotJob(level=LEVEL, view="map", format="png", size=(640 + number, 480))
 
 
 def pending(job: Job, client: str, came_s: float = 0.0) -> PendingJob:
@@ -155,7 +156,7 @@ def test_a_screenful_is_let_in_however_long_it_takes():
 
 @pytest.mark.parametrize(("side", "is_one"), [(256, True), (1024, True), (1025, False)])
 def test_maps_of_clients_that_tile_are_tiles(side: int, is_one: bool):
-    job = MapJob(level=LEVEL, bounds=(0.0, 0.0, 1.0, 1.0), crs="EPSG:4326", size=(side, 256), layer="color", format="png")
+    job = MapJob(level=LEVEL, bounds=(0.0, 0.0, 1.0, 1.0), crs="EPSG:4326", size=(side, 256), format="png")
     assert is_tile(job) == is_one
     assert is_tile(block(0)) and not is_tile(snapshot(0))
 
@@ -180,9 +181,7 @@ def test_what_waits_is_expected_to_take_what_its_kind_took():
 
 def test_a_layer_that_takes_longer_is_known_by_itself():
     queue = JobQueue(1)
-    mask = BlockJob(
-        **{**block(0).model_dump(exclude={"level", "request"}), "level": LEVEL, "layer": "mask", "format": "tif", "tiles": 2}
-    )
+    mask = block(0).model_copy(update={"request": ProductRequest(product="mask"), "format": "tif", "tiles": 2})
     queue.learn(block(0), 0.1)
     assert queue.expected.of(mask) == pytest.approx(0.1), "as its kind"
     queue.learn(mask, 3.0)

@@ -18,10 +18,11 @@ import numpy as np
 import pytest
 
 from skugga.api.errors import LaterError, WorkerCrashError
+from skugga.api.request import PictureRequest
 from skugga.api.workers import film_jobs
 from skugga.api.workers.expected_times import ExpectedTimes
 from skugga.api.workers.job_queue import BEHIND_S, JobQueue, PendingJob
-from skugga.api.workers.jobs import CarriedPlans, FilmPicture, FrameJob, PictureRequest
+from skugga.api.workers.jobs import CarriedPlans, FilmPicture, FrameJob
 from skugga.api.workers.plan_basis import PlanBasis
 from skugga.api.workers.pool import Pool
 from skugga.selector.film import film_frames, frame_moments

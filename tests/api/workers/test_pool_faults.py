@@ -11,11 +11,12 @@ import time
 import pytest
 
 from skugga.api.errors import LaterError, SetAsideError, WorkerCrashError
+from skugga.api.request import ProductRequest, RequestedSettings
 from skugga.api.workers import pool as pool_module
 from skugga.api.workers import spawned, worker_process
 from skugga.api.workers.expected_times import ExpectedTimes
 from skugga.api.workers.job_queue import JobQueue, PendingJob
-from skugga.api.workers.jobs import BlockJob, LevelKey, PictureRequest, PlanAnswer, RequestedSettings, SnapshotJob
+from skugga.api.workers.jobs import BlockJob, LevelKey, PlanAnswer, SnapshotJob
 from skugga.api.workers.pool import Pool
 from skugga.api.workers.process_life import is_stopped
 from skugga.api.workers.set_aside import SetAside
@@ -27,8 +28,8 @@ OTHER_LEVEL = LevelKey(path=LEVEL.path.with_name("other.yaml"), version="1")
 
 
 def view(size: tuple[int, int] = (640, 480), **asked) -> SnapshotJob:
-    request = PictureRequest(overrides=RequestedSettings.of(asked))
-    return SnapshotJob(level=LEVEL, view="map", layer="color", format="png", size=size, request=request)
+    request = ProductRequest(overrides=RequestedSettings.of(asked))
+    return SnapshotJob(level=LEVEL, view="map", format="png", size=size, request=request)
 
 
 def test_a_place_outlives_running_out_of_descriptors(monkeypatch: pytest.MonkeyPatch):

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.sun_hours_accuracy import ray_truth
 from benchmarks.sweep_speed import mountains
-from skugga.api.shade import raster_view
+from skugga.api.raster_view import raster_view
 from skugga.shadows.sun_hours.sight_walks import WalkedGround, horizon_tangent, walked_ground
 from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import window_suns

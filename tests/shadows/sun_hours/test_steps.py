@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skugga.api.shade import raster_view
+from skugga.api.raster_view import raster_view
 from skugga.shadows.sun_hours.steps import LONG_STEP_MIN, SHORT_STEP_MIN, missed_minutes, step_for
 from skugga.shadows.sun_hours.sun_hours import SunRules, sun_hours
 from skugga.shadows.sun_hours.suns import window_suns

@@ -8,14 +8,14 @@ import rasterio
 from morecantile import tms as matrix_sets
 from rasterio.enums import Resampling
 
-from skugga.api.layers import MASK_LIT, MASK_SHADOW
 from skugga.api.matrices import zoom_range
-from skugga.api.shade import raster_view, shade_array
-from skugga.shadows.ground_pictures import shown_map
+from skugga.api.products.mask import MASK_LIT, MASK_SHADOW
+from skugga.api.raster_view import raster_view
 from skugga.terrain.geo.grid import MapView, tile_grid
 from skugga.terrain.geo.world import EARTH_RADIUS_M, LONGITUDE_LATITUDE, transformer
 from skugga.terrain.ground import overview
 from skugga.terrain.scene import Scene
+from tests.products import drawn, shade_array
 from tests.render import plan_of
 
 CELL_M, COLS, ROWS = 30.0, 2700, 700
@@ -90,7 +90,7 @@ def test_tiles_of_every_zoom(scene):
             view = MapView(grid, float(row), float(col), 1.0, 1.0, PATCH_PX, PATCH_PX)
             plan = plan or plan_of(scene, view)  # all tiles of a level have one
             middle = slice(PATCH_PX // 2 - 1, PATCH_PX // 2 + 1)
-            opacity = shown_map(scene, view, plan).opacity[middle, middle]
+            opacity = drawn(scene, view, plan).opacity[middle, middle]
             if (opacity != (255 if dark else 0)).any():
                 wrong.append((zoom, (RIM_M - x) / 1000.0, (y - MIDDLE_M) / 1000.0, dark, opacity.tolist()))
     assert not wrong, "\n".join(map(str, wrong))
@@ -99,5 +99,5 @@ def test_tiles_of_every_zoom(scene):
 def test_shade_s_cells(scene):
     for (x, y), dark in places(500.0 + 3.0 * CELL_M).items():
         view = raster_view(scene, (x - 100.0, y - 100.0, x + 100.0, y + 100.0))
-        found = shade_array(scene, view, "mask", None, {})
+        found = shade_array(scene, view, "mask", None)
         assert (found == (MASK_SHADOW if dark else MASK_LIT)).all(), (RIM_M - x, y - MIDDLE_M, dark)

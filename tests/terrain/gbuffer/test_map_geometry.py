@@ -10,7 +10,7 @@ from morecantile import tms as matrix_sets
 from pyproj import CRS, Geod, Transformer
 
 from skugga.api.catalogue import find_level
-from skugga.api.layers import frame_layer
+from skugga.api.compute import product_of_frame
 from skugga.shadows.truth.truth import sub_views
 from skugga.terrain.gbuffer.geometry import map_geometry
 from skugga.terrain.gbuffer.picture import frame_of, geometry_of, shared_nodes
@@ -130,7 +130,7 @@ def test_position_lies_on_the_raster_s_surface(tile, share):
     """
     scene = build_scene(load_level("configs/jacksboro.yaml"))
     view = block_at(-84.25, 36.2933, 12).part(313, 300, 200, 200) if tile else scene.view()
-    position = frame_layer(scene, render(scene, view, algorithm="none"), "position")
+    position = product_of_frame(scene, render(scene, view, algorithm="none"), "position")
     known = np.isfinite(position[..., 2])
     assert known.sum() > 10_000
     x, y, height = position[known].T

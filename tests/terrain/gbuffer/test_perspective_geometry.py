@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from pyproj import Transformer
 
-from skugga.api.layers import frame_layer
+from skugga.api.compute import product_of_frame
 from skugga.shadows.render import render_frame
 from skugga.terrain.casters.rays import RayScene
 from skugga.terrain.errors import InputError
@@ -245,13 +245,13 @@ def test_layers_of_depth_and_position(gl, hills, make_scene):
     view = scene.view("eye")
     frame = render(scene, view)
     there = frame.there
-    position = frame_layer(scene, frame, "position")
+    position = product_of_frame(scene, frame, "position")
     assert np.isnan(position[~there]).all() and there.mean() > 0.3
     ground = scene.elevation.ground_m(position[there, 0], position[there, 1])
     np.testing.assert_allclose(position[there, 2], frame.height_m[there], atol=0.3)  # a chord of 50 m, and float32
     assert np.abs(position[there, 2] - ground).max() < 1.5  # triangles against the bilinear surface
     assert np.abs(position[there, 2] - ground).mean() < 0.2
-    depth = frame_layer(scene, frame, "depth")
+    depth = product_of_frame(scene, frame, "depth")
     along = (frame.position_earth_m - view.eye_earth_m) @ view.earth_from_camera
     np.testing.assert_allclose(depth[there], along[there, 2], rtol=1e-6)
     x = (view.col0 + np.arange(view.cols)) / view.focal_px

@@ -10,7 +10,7 @@ import rasterio
 from pyproj import CRS
 
 import skugga
-from skugga.api.layers import geotiff
+from skugga.api.encoding import geotiff
 from skugga.terrain.errors import SourceError
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.vertical import UNIT_WORDS

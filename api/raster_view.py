@@ -1,33 +1,20 @@
-"""Shading of whole rasters: a map of any size, block by block, on a raster's own grid or another one, under many suns in one run.
-
-Memory is bounded by the block: far casters come from overviews, by the one rule that tiles follow
-(``skugga.terrain.casters.reach``). What does not depend on the sun (heights, normals) is read once for a block and serves all suns.
-"""
+"""The cells of a raster that is written: the level's own, those of another raster, or square ones of a resolution."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from affine import Affine
 from pyproj import CRS
 from rasterio.errors import RasterioError
 
-from skugga.api.device_calibration import calibration_for
-from skugga.api.raster_file import RasterCells, RasterFile, RasterNotes, cog
-from skugga.api.shade_layers import SHADE_LAYERS
-from skugga.selector.select import plan_of_view
-from skugga.terrain.errors import MISSING_VALUE, InputError, SourceError
-from skugga.terrain.gbuffer.bare_ground import forget_ground_before
+from skugga.api.raster_file import RasterCells
+from skugga.terrain.errors import InputError, SourceError
 from skugga.terrain.geo.axes import axes_of
-from skugga.terrain.geo.grid import Grid, MapView, blocks_of, step_at_anchor_m
-from skugga.terrain.level.level import spelt
-from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.geo.grid import Grid, MapView, step_at_anchor_m
 from skugga.terrain.level.rasters import open_raster
 from skugga.terrain.scene import Scene
 
@@ -241,100 +228,3 @@ def _within(own: RasterView, bounds: Bounds) -> RasterView:
     cols = ((view.grid.col(x) - view.col0) / view.col_step + 0.5 for x in (west, east))
     (top, bottom), (left, end) = ((int(np.floor(low + 1e-9)), int(np.ceil(high - 1e-9))) for low, high in (rows, cols))
     return own.part(top, left, bottom - top, end - left)
-
-
-@dataclass(frozen=True, eq=False)
-class ShadedBlock:
-    """A part of a layer under the ``sun``-th of some suns: its ``array`` (rows, cols) or (rows, cols, bands) from a raster's cell
-    on.
-    """
-
-    sun: int
-    row: int
-    col: int
-    array: np.ndarray
-
-
-def shaded_blocks(
-    scene: Scene, raster: RasterView, layer: str, suns: Sequence[SunSpec | None], overrides: dict[str, Any]
-) -> tuple[int, Iterator[ShadedBlock]]:
-    """How many blocks a layer of a map under each of some suns (``None``: the level's own) has, and these, one after the other.
-
-    Blocks of one place follow one another: what does not depend on the sun is done once. Raises ``SkuggaError``.
-    """
-    if layer not in SHADE_LAYERS:
-        raise InputError("layer", layer, ", ".join(SHADE_LAYERS))
-    if scene.sun is None and None in suns:
-        raise InputError("time", MISSING_VALUE, "a time, or an azimuth and an altitude: the level has no sun")
-    view = raster.view
-    blocks, scenes = blocks_of(view), [scene.with_sun(sun) for sun in suns]
-    device = calibration_for(scene.loaded.level.shadows, overrides)
-    middle = blocks[len(blocks) // 2][0]
-    plans = [plan_of_view(seen, middle, "map", overrides, device=device) for seen in scenes]
-
-    def made() -> Iterator[ShadedBlock]:
-        for block, row, col in blocks:
-            inside = slice(max(-row, 0), view.rows - row), slice(max(-col, 0), view.cols - col)
-            for sun, (seen, plan) in enumerate(zip(scenes, plans, strict=True)):
-                array = SHADE_LAYERS[layer].make(seen, block, plan)[inside]
-                yield ShadedBlock(sun, *raster.placed(max(row, 0), max(col, 0), array))
-            forget_ground_before(1)
-
-    return len(blocks) * len(scenes), made()
-
-
-def write_shade(
-    scene: Scene,
-    raster: RasterView,
-    layer: str,
-    suns: Sequence[SunSpec | None],
-    paths: Sequence[Path],
-    overrides: dict[str, Any],
-    on_block: Callable[[int, int], None] | None = None,
-) -> None:
-    """Write a layer of a map under each of some suns into a file of its own. ``on_block(done, total)`` is called after each block
-    under each sun. Raises as ``shaded_blocks``, and ``OSError``.
-    """
-    total, blocks = shaded_blocks(scene, raster, layer, suns, overrides)
-    made = SHADE_LAYERS[layer]
-    notes = [shade_notes(scene.with_sun(sun), layer, overrides) for sun in suns]
-    with ExitStack() as stack:
-        files: list[RasterFile] = [
-            stack.enter_context(
-                cog(path, raster.crs, raster.transform, raster.shape, made.bands, made.dtype, made.nodata, made.smooth, note)
-            )
-            for path, note in zip(paths, notes, strict=True)
-        ]
-        for done, block in enumerate(blocks, start=1):
-            files[block.sun].write(block.row, block.col, block.array)
-            if on_block is not None:
-                on_block(done, total)
-
-
-def shade_notes(scene: Scene, layer: str, overrides: dict[str, Any]) -> RasterNotes:
-    """What a raster of a layer says of itself: the layer, the level, the sun, and what was asked of shadows.
-
-    The sun's angles are those in the middle of the level.
-    """
-    made, sun = SHADE_LAYERS[layer], scene.sun
-    tags = {"layer": layer, "level": scene.loaded.name}
-    if sun is not None:
-        tags |= {
-            "time": "" if sun.time is None else sun.time.isoformat(),
-            "sun_azimuth_deg": f"{sun.azimuth_deg:.4f}", "sun_altitude_deg": f"{sun.altitude_deg:.4f}",
-        }  # fmt: skip
-    asked = {name: value for name, value in overrides.items() if value is not None}
-    algorithm = asked.pop("algorithm", scene.loaded.level.shadows.algorithm)
-    tags |= {"algorithm": spelt(algorithm), **{f"shadows_{name}": str(value) for name, value in asked.items()}}
-    return RasterNotes(f"{layer}: {made.about}", made.band_names, "1" if layer in ("visibility", "cosi") else "", tags)
-
-
-def shade_array(scene: Scene, raster: RasterView, layer: str, sun: SunSpec | None, overrides: dict[str, Any]) -> np.ndarray:
-    """A layer of a map as one array (rows, cols) or (rows, cols, 4). Raises as ``shaded_blocks``."""
-    _, blocks = shaded_blocks(scene, raster, layer, [sun], overrides)
-    made = SHADE_LAYERS[layer]
-    out = np.empty((*raster.shape, *([made.bands] if made.bands > 1 else [])), made.dtype)
-    for block in blocks:
-        rows, cols = block.array.shape[:2]
-        out[block.row : block.row + rows, block.col : block.col + cols] = block.array
-    return out

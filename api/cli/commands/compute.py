@@ -1,0 +1,47 @@
+"""``skugga compute``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from skugga.api.cli.common_options import AltitudeOption, AzimuthOption, BoundsOption, CrsOption, TimeOption, read_bounds
+from skugga.api.cli.completion import complete_words
+from skugga.api.cli.level_argument import takes_level
+from skugga.api.cli.options import overrides_of, with_shadow_options
+from skugga.api.cli.product_parameters import product_options, with_product_options
+from skugga.api.cli.progress import ProgressBar
+from skugga.api.products import RASTER_PRODUCTS, product_named
+from skugga.terrain.level.level import parse_sun
+from skugga.terrain.level.level_source import LevelSource
+
+
+@takes_level
+@with_product_options(RASTER_PRODUCTS, after="product")
+@with_shadow_options("render")
+def compute_raster(
+    level: LevelSource,
+    output: Annotated[Path, typer.Option("-o", "--output", help="GeoTIFF to write (COG).")],
+    product: Annotated[
+        str, typer.Option(help=f"{', '.join(RASTER_PRODUCTS)}.", autocompletion=complete_words(RASTER_PRODUCTS))
+    ] = "mask",
+    time: TimeOption = None,
+    azimuth: AzimuthOption = None,
+    altitude: AltitudeOption = None,
+    bounds: BoundsOption = None,
+    crs: CrsOption = None,
+    resolution: Annotated[float | None, typer.Option(help="Side of a cell, in units of the output CRS.")] = None,
+    like: Annotated[Path | None, typer.Option(metavar="RASTER", help="Write the cells of this raster.")] = None,
+    **asked: Any,
+) -> None:
+    """Compute any product of a level as a raster of any size, by default on its own grid."""
+    from skugga.api.cli.shading import RasterPlace, write_product
+    from skugga.api.request import ProductRequest
+
+    options, shadows = product_options(product_named(product, RASTER_PRODUCTS, "--product"), asked)
+    request = ProductRequest(product=product, options=options, sun=parse_sun(time, azimuth, altitude))
+    place = RasterPlace(read_bounds(bounds), crs, resolution, like)
+    with ProgressBar("Computing") as advance:
+        write_product(level, output, [request], place, overrides_of("render", shadows), advance)

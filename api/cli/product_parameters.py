@@ -1,0 +1,52 @@
+"""Options of products as options of a command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, get_args
+
+import typer
+
+from skugga.api.cli.completion import complete_words
+from skugga.api.products import PRODUCTS
+from skugga.api.products.product import Product, ProductOptions
+from skugga.api.shown_parameters import FunctionT, takes_parameters
+from skugga.terrain.errors import InputError
+
+
+def with_product_options(products: Sequence[str], after: str) -> Callable[[FunctionT], FunctionT]:
+    """Decorate a command that takes ``**asked``: it has the options of some products, ``after`` one of its own."""
+    names = dict.fromkeys(name for product in products for name in PRODUCTS[product].options.model_fields)
+    return takes_parameters([(name, _product_option(name, products)) for name in names], after)
+
+
+def product_options(product: Product, asked: dict[str, Any]) -> tuple[ProductOptions, dict[str, Any]]:
+    """Return a product's options among those of a command, and the command's others. Raises ``InputError``."""
+    fields = product.options.model_fields
+    others = {name for each in PRODUCTS.values() for name in each.options.model_fields} - fields.keys()
+    for name in sorted(others):
+        if asked.get(name) is not None:
+            of = " or ".join(each.name for each in PRODUCTS.values() if name in each.options.model_fields)
+            raise InputError(_flag(name), asked[name], f"nothing: it is an option of {of}, not of {product.name}")
+    given = {name: value for name, value in asked.items() if name in fields and value is not None}
+    try:
+        options = product.options_of(given)
+    except InputError as error:
+        raise InputError(_flag(error.name), error.value, error.allowed) from None
+    return options, {name: value for name, value in asked.items() if name not in fields and name not in others}
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _product_option(name: str, products: Sequence[str]) -> Any:
+    """An option of products as one of a command: a text, which the product reads."""
+    of = [product for product in products if name in PRODUCTS[product].options.model_fields]
+    field = PRODUCTS[of[0]].options.model_fields[name]
+    kinds = {*get_args(field.annotation), field.annotation}
+    of_type: Any = bool if bool in kinds else str
+    metavar = next((name_of for kind, name_of in ((int, "WHOLE"), (float, "NUMBER")) if kind in kinds), None)
+    about = f"{', '.join(of)}: {(field.description or '').replace('`', '')}"
+    words = [word for word in get_args(field.annotation) if isinstance(word, str)]
+    return Annotated[of_type | None, typer.Option(_flag(name), help=about, metavar=metavar, autocompletion=complete_words(words))]

@@ -1,0 +1,319 @@
+"""The one way from a request to an array or a file: products are computed block by block, here and nowhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from skugga.api.contour_lines import write_contours
+from skugga.api.device_calibration import calibration_for
+from skugga.api.products import PRODUCTS, product_named
+from skugga.api.products.product import Part, Product, ProductOptions
+from skugga.api.raster_file import RasterFile, RasterNotes, cog
+from skugga.api.raster_view import RasterView
+from skugga.api.request import ProductRequest
+from skugga.selector.select import plan_of_view
+from skugga.shadows.draw import draw, picture_of
+from skugga.shadows.passes import PassRecord
+from skugga.shadows.picture import Picture
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import Frame, render_frame
+from skugga.terrain.cache import MIB, cached
+from skugga.terrain.casters.reach import Reach
+from skugga.terrain.errors import MISSING_VALUE, InputError
+from skugga.terrain.gbuffer.bare_ground import forget_ground_before
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import BLOCK_PX, MapView, blocks_of, windows_of
+from skugga.terrain.level.level import spelt
+from skugga.terrain.scene import Scene
+
+ViewT = TypeVar("ViewT", bound=MapView | PerspectiveView)
+
+BLOCKS_BYTES = 24 * MIB
+"""Bytes of the blocks computed last, of products that need no picture."""
+
+OnBlock = Callable[[int, int], None]
+"""Is called with how many steps are done, and how many there are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Computed:
+    """A product's array of a view, and the picture that it was made of, if it needs one."""
+
+    array: np.ndarray
+    picture: Picture | None = None
+
+    @property
+    def passes(self) -> tuple[PassRecord, ...]:
+        """The passes that drew the picture."""
+        return () if self.picture is None else self.picture.passes
+
+    @property
+    def reach(self) -> Reach | None:
+        """How far casters were looked for."""
+        return None if self.picture is None else self.picture.reach
+
+
+def compute(
+    scene: Scene,
+    view: MapView | PerspectiveView,
+    request: ProductRequest,
+    plan: Plan | None,
+    light: str | None = None,
+    on_block: OnBlock | None = None,
+) -> Computed:
+    """Compute a product of a view.
+
+    Parameters
+    ----------
+    scene
+        The scene as the request wants to see it (``PictureRequest.seen``).
+    plan
+        The plan of the view; ``None`` for a product that needs no picture.
+    light
+        The light whose visibility is wanted; ``None``: the first.
+
+    Raises
+    ------
+    InputError
+        The product does not exist for such a view, or the light does not reach it.
+    SkuggaError
+        As ``draw`` and the product do.
+    """
+    product = request.record
+    check_view(product, view)
+    wide = _widened(view, product.reach_px)
+    if plan is not None:
+        picture = draw_picture(scene, wide, product, plan, light, on_block)
+        part = Part(scene, wide, request.options, picture)
+        return Computed(_inside(product.compute(part), product.reach_px), picture)
+    assert isinstance(view, MapView)
+    nodes = view.as_nodes()
+    if not view.on_nodes and max(nodes.rows, nodes.cols) <= BLOCK_PX:
+        return Computed(_compute_block(scene, nodes, product, request.options))
+    out = product.empty_array(nodes.rows, nodes.cols, scene.height_range_m[0])
+    blocks = blocks_of(nodes)  # those of tiles: a map has the very pixels that they have
+    for done, (block, row, col) in enumerate(blocks, start=1):
+        inside, of_block = windows_of(nodes, block, row, col)
+        out[inside] = _block_of_tiles(scene, block, product.name, request.options)[of_block]
+        if on_block is not None:
+            on_block(done, len(blocks))
+    return Computed(out)
+
+
+def plan_for(scene: Scene, view: MapView | PerspectiveView, name: str, product: Product, overrides: dict[str, Any]) -> Plan | None:
+    """Return the plan of a view for a product; ``None`` where the product needs no picture.
+
+    ``name`` is the view's, ``overrides`` are changes of the level's ``shadows``. Raises ``InputError`` where the product does not
+    exist for such a view.
+    """
+    check_view(product, view)
+    if not product.needs_of(view):
+        return None
+    device = calibration_for(scene.loaded.level.shadows, overrides)
+    return plan_of_view(scene, view, name, overrides, device=device)
+
+
+def draw_picture(
+    scene: Scene,
+    view: MapView | PerspectiveView,
+    product: Product,
+    plan: Plan,
+    light: str | None = None,
+    on_block: OnBlock | None = None,
+) -> Picture:
+    """Draw what a product needs of a view. Raises as ``compute``."""
+    needs = product.needs_of(view)
+    if light is None and product.pass_layer is None:
+        return draw(scene, view, plan, needs, on_block)
+    layers = frozenset() if product.pass_layer is None else frozenset({product.pass_layer})
+    return picture_of(render_frame(scene, view, plan, on_block, layers).under(light), needs)
+
+
+def product_of_frame(scene: Scene, frame: Frame, name: str) -> np.ndarray:
+    """Return a product of a frame that was rendered before. Raises ``InputError``."""
+    product = product_named(name)
+    picture = picture_of(frame, frozenset({"color", "opacity", "visibility", "reach", "frame"}))
+    return product.compute(Part(scene, frame.view, product.options(), picture))
+
+
+def check_view(product: Product, view: MapView | PerspectiveView) -> None:
+    """Raise ``InputError`` where a product does not exist for such a view."""
+    kind = "map" if isinstance(view, MapView) else "perspective"
+    if kind not in product.view_kinds:
+        others = [name for name, each in PRODUCTS.items() if kind in each.view_kinds]
+        raise InputError("layer", product.name, f"in a {kind} view: {', '.join(others)}")
+
+
+def _compute_block(
+    scene: Scene, block: MapView, product: Product, options: Any, on_step: Callable[[], None] = lambda: None
+) -> np.ndarray:
+    """Compute a block of a product that needs no picture."""
+    part = Part(scene, _widened(block, product.reach_px), options, None, on_step)
+    return _inside(product.compute(part), product.reach_px)
+
+
+def _block_of_picture(scene: Scene, block: MapView, product: Product, options: Any, plan: Plan) -> np.ndarray:
+    """Compute a block of a product that needs a picture; nobody asks how far casters were looked for."""
+    wide = _widened(block, product.reach_px)
+    picture = draw(scene, wide, plan, product.needs - {"reach"})
+    return _inside(product.compute(Part(scene, wide, options, picture)), product.reach_px)
+
+
+@cached("scene", BLOCKS_BYTES)
+def _block_of_tiles(scene: Scene, block: MapView, product: str, options: ProductOptions) -> np.ndarray:
+    """Compute a block; many small maps, as of clients that tile by themselves, lie in one."""
+    return _compute_block(scene, block, PRODUCTS[product], options)
+
+
+def _blocks(scene: Scene, view: MapView, product: Product) -> list[tuple[MapView, int, int]]:
+    return blocks_of(view) if product.blocks is None else product.blocks(scene, view)
+
+
+def _widened(view: ViewT, pixels: int) -> ViewT:
+    """Return a view with so many pixels more on each side."""
+    if not pixels:
+        return view
+    return view.part(-pixels, -pixels, view.rows + 2 * pixels, view.cols + 2 * pixels)  # type: ignore[return-value]
+
+
+def _inside(array: np.ndarray, pixels: int) -> np.ndarray:
+    """Return an array without so many pixels on each side."""
+    return array[pixels : array.shape[0] - pixels, pixels : array.shape[1] - pixels]
+
+
+@dataclass(frozen=True, eq=False)
+class RasterPart:
+    """A part of the raster of the ``request``-th of some requests: an ``array`` (rows, cols, ...) from a cell of the raster on."""
+
+    request: int
+    row: int
+    col: int
+    array: np.ndarray
+
+
+def raster_parts(
+    scene: Scene,
+    raster: RasterView,
+    requests: Sequence[ProductRequest],
+    overrides: dict[str, Any] | None = None,
+    on_step: OnBlock | None = None,
+) -> Iterator[RasterPart]:
+    """Return the parts of a raster by each of some requests for one product.
+
+    Memory is bounded by a block. Parts of one place follow one another, so what does not depend on the sun is done once.
+    ``overrides`` are changes of the level's ``shadows``. Raises ``SkuggaError`` at once where requests are wrong.
+    """
+    product, view = requests[0].record, raster.view
+    check_view(product, view)
+    for request in requests:
+        if product.when == "sun" and scene.sun is None and request.sun is None:
+            raise InputError("time", MISSING_VALUE, "a time, or an azimuth and an altitude: the level has no sun")
+    scenes = [request.seen(scene) for request in requests]
+    blocks, plans = _blocks(scene, view, product), _plans(scenes, view, product, overrides or {})
+    total = sum(product.steps(request.options) for request in requests) * len(blocks)
+
+    def parts() -> Iterator[RasterPart]:
+        done = 0
+
+        def step() -> None:
+            nonlocal done
+            done += 1
+            if on_step is not None:
+                on_step(done, total)
+
+        for block, row, col in blocks:
+            inside, of_block = windows_of(view, block, row, col)
+            for number, (request, lit, plan) in enumerate(zip(requests, scenes, plans, strict=True)):
+                if plan is None:
+                    array = _compute_block(lit, block, product, request.options, step)
+                else:
+                    array = _block_of_picture(lit, block, product, request.options, plan)
+                yield RasterPart(number, *raster.placed(inside[0].start, inside[1].start, array[of_block]))
+                if product.when != "days":
+                    step()
+            forget_ground_before(1)
+
+    return parts()
+
+
+def _plans(scenes: Sequence[Scene], view: MapView, product: Product, overrides: dict[str, Any]) -> list[Plan | None]:
+    """Return the plan of each scene, made for the middle block; ``None`` where the product needs no picture."""
+    if not product.needs:
+        return [None] * len(scenes)
+    blocks = blocks_of(view)
+    middle, device = blocks[len(blocks) // 2][0], calibration_for(scenes[0].loaded.level.shadows, overrides)
+    return [plan_of_view(lit, middle, "map", overrides, device=device) for lit in scenes]
+
+
+def write_rasters(
+    scene: Scene,
+    raster: RasterView,
+    requests: Sequence[ProductRequest],
+    paths: Sequence[Path],
+    overrides: dict[str, Any] | None = None,
+    on_step: OnBlock | None = None,
+    contours: tuple[Path, Sequence[float]] | None = None,
+) -> None:
+    """Write a raster by each of some requests into a file of its own, and ``contours`` of the first: a file, and values.
+
+    ``on_step(done, total)`` is called after each step. Raises as ``raster_parts``, and ``OSError``.
+    """
+    parts, product = raster_parts(scene, raster, requests, overrides, on_step), requests[0].record
+    notes = [raster_notes(request.seen(scene), request, overrides or {}) for request in requests]
+    with ExitStack() as stack:
+        files: list[RasterFile] = [
+            stack.enter_context(
+                cog(
+                    path,
+                    raster.crs,
+                    raster.transform,
+                    raster.shape,
+                    product.bands,
+                    product.dtype,
+                    product.nodata,
+                    product.is_smooth,
+                    note,
+                )  # fmt: skip
+            )
+            for path, request, note in zip(paths, requests, notes, strict=True)
+        ]
+        for part in parts:
+            files[part.request].write(part.row, part.col, part.array)
+    if contours is not None:
+        write_contours(paths[0], contours[1], contours[0])
+
+
+def raster_array(scene: Scene, raster: RasterView, request: ProductRequest, overrides: dict[str, Any] | None = None) -> np.ndarray:
+    """Return a raster by a request as one array (rows, cols) or (rows, cols, bands). Raises as ``raster_parts``."""
+    parts = raster_parts(scene, raster, [request], overrides)
+    out = request.record.empty_array(*raster.shape, scene.height_range_m[0])
+    for part in parts:
+        rows, cols = part.array.shape[:2]
+        out[part.row : part.row + rows, part.col : part.col + cols] = part.array
+    return out
+
+
+def raster_notes(scene: Scene, request: ProductRequest, overrides: dict[str, Any]) -> RasterNotes:
+    """Return what a raster says of itself: the product, the level, the options or the sun, and what was asked of shadows.
+
+    The sun's angles are those in the middle of the level.
+    """
+    product, sun = request.record, scene.sun
+    about, unit = product.about_of(request.options)
+    tags = {"layer": product.name, "level": scene.loaded.name, **product.tags(request.options, scene)}
+    if product.when == "sun":
+        if sun is not None:
+            tags |= {
+                "time": "" if sun.time is None else sun.time.isoformat(),
+                "sun_azimuth_deg": f"{sun.azimuth_deg:.4f}", "sun_altitude_deg": f"{sun.altitude_deg:.4f}",
+            }  # fmt: skip
+        asked = {name: value for name, value in overrides.items() if value is not None}
+        algorithm = asked.pop("algorithm", scene.loaded.level.shadows.algorithm)
+        tags |= {"algorithm": spelt(algorithm), **{f"shadows_{name}": str(value) for name, value in asked.items()}}
+    return RasterNotes(f"{product.name}: {about}", product.band_names(request.options), unit, tags)

@@ -1,0 +1,125 @@
+"""Arrays of products as files: PNG, WebP, JPEG, GeoTIFF and ``.npy``."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skugga.api.png import encode_png
+from skugga.api.products.product import PICTURE_FORMATS, Product, ProductOptions
+from skugga.terrain.errors import InputError
+
+if TYPE_CHECKING:
+    from skugga.shadows.picture import Picture
+    from skugga.terrain.geo.world import World
+
+LOSSY_QUALITY = 90
+"""Of JPEG, and of WebP where a map is to be looked at and not to be computed with."""
+
+ARRAY_FORMATS = ("tif", "npy")
+"""Formats that hold the numbers themselves. A TIFF says where they lie."""
+
+
+def check_format(product: Product, format: str) -> None:
+    """Raise ``InputError`` where tiles and maps of a product are not served in a format."""
+    if format not in product.map_formats:
+        raise InputError("format", format, f"{', '.join(product.map_formats)} for layer {product.name}")
+
+
+def colored(array: np.ndarray, product: Product, options: ProductOptions, world: World, format: str) -> np.ndarray:
+    """Return what a file of a product's array shows: its numbers, or in a picture the colours of its scale."""
+    if format in ARRAY_FORMATS or product.color_scale is None:
+        return array
+    return product.color_scale(options, world).colored(array)
+
+
+def as_picture(array: np.ndarray, product: Product, drawn: Picture | None) -> np.ndarray:
+    """Return an array of a view as a picture for PNG: most are pictures already, others lie over the drawn colour."""
+    if product.to_picture is None:
+        return array
+    assert drawn is not None and drawn.frame is not None
+    return product.to_picture(array, drawn.frame.color)
+
+
+def encode(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
+    """Return an array of a product, ``colored`` for the format, as a file.
+
+    Display products alone are compressed with loss, and have no alpha channel where nothing is transparent. JPEG has white where
+    there is no surface. A GeoTIFF keeps all channels, and lies where the ``view`` does.
+    """
+    if product.is_display and format not in ARRAY_FORMATS and array.shape[2] == 4 and (array[..., 3] == 255).all():
+        array = array[..., :3]
+    if product.is_display and format == "webp":
+        from PIL import Image
+
+        out = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(array)).save(out, "WEBP", quality=LOSSY_QUALITY, method=2)
+        return out.getvalue()
+    if format == "jpg" and array.ndim == 3 and array.shape[2] == 4:
+        array = over(array, (255, 255, 255))[..., :3]
+    return encode_exactly(array, product, format, view)
+
+
+def encode_exactly(array: np.ndarray, product: Product, format: str, view: object = None) -> bytes:
+    """Return an array of a product, ``colored`` for the format, as a file with all its channels, and with loss in JPEG alone."""
+    if format == "tif":
+        return geotiff(array, view, product.nodata)
+    if format == "npy":
+        return npy(array)
+    return encode_picture(array, format)
+
+
+def encode_picture(array: np.ndarray, format: str) -> bytes:
+    """Return a picture (RGB, RGBA or gray) as PNG, lossless WebP, or JPEG without alpha. Raises ``InputError``."""
+    if format == "png":
+        return encode_png(array)
+    from PIL import Image
+
+    out = io.BytesIO()
+    image = Image.fromarray(array)
+    if format == "webp":
+        image.save(out, "WEBP", lossless=True, method=1, exact=True)
+    elif format in ("jpg", "jpeg"):
+        image.convert("RGB").save(out, "JPEG", quality=LOSSY_QUALITY)
+    else:
+        raise InputError("format", format, ", ".join(PICTURE_FORMATS))
+    return out.getvalue()
+
+
+def over(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
+    """Return an RGBA picture over an opaque sRGB colour, as RGBA."""
+    alpha = picture[..., 3:].astype(np.float32) / 255.0
+    blended = np.rint(picture[..., :3] * alpha + np.array(color, np.float32) * (1.0 - alpha)).astype(np.uint8)
+    return np.concatenate([blended, np.full_like(picture[..., 3:], 255)], axis=-1)
+
+
+def geotiff(array: np.ndarray, view: object, nodata: float | None) -> bytes:
+    """Return an array (rows, cols) or (rows, cols, bands) as a GeoTIFF. That of a map view is georeferenced."""
+    from rasterio.errors import NotGeoreferencedWarning
+    from rasterio.io import MemoryFile
+    from rasterio.transform import from_bounds
+
+    from skugga.terrain.geo.grid import MapView
+
+    bands = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)
+    where = {}
+    if isinstance(view, MapView):
+        where = {"crs": view.grid.crs.to_wkt(), "transform": from_bounds(*view.bounds, view.cols, view.rows)}
+    with warnings.catch_warnings(), MemoryFile() as file:
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a perspective view has no place on a map
+        with file.open(
+            driver="GTiff", width=bands.shape[2], height=bands.shape[1], count=bands.shape[0], dtype=bands.dtype,
+            **where, compress="deflate", nodata=nodata,
+        ) as dataset:  # fmt: skip
+            dataset.write(bands)
+        return bytes(file.read())
+
+
+def npy(array: np.ndarray) -> bytes:
+    """Return an array as a ``.npy`` file."""
+    out = io.BytesIO()
+    np.save(out, array)
+    return out.getvalue()

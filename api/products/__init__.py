@@ -1,0 +1,67 @@
+"""Products: what Skugga computes. A module of this folder that has ``PRODUCT``, or several ``PRODUCTS``, is all that one needs.
+
+Products import what draws them when they are computed: their names are options of commands and parameters of HTTP.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pkgutil import iter_modules
+
+from skugga.api.products.product import PICTURE_FORMATS, Product
+from skugga.terrain.errors import InputError
+
+FIRST = "color", "shadow", "mask", "visibility", "height", "terrain-rgb", "terrarium"
+"""Products that lists begin with; the others follow by name, intermediate pictures last."""
+
+
+def _products() -> Iterator[Product]:
+    for module in iter_modules(__path__, f"{__name__}."):
+        found = import_module(module.name)
+        yield from getattr(found, "PRODUCTS", ())
+        if hasattr(found, "PRODUCT"):
+            yield found.PRODUCT
+
+
+def _place(product: Product) -> tuple[bool, int, str]:
+    return product.pass_layer is not None, FIRST.index(product.name) if product.name in FIRST else len(FIRST), product.name
+
+
+PRODUCTS: dict[str, Product] = {each.name: each for each in sorted(_products(), key=_place)}
+"""All products by name."""
+
+
+def products_with(has: Callable[[Product], object]) -> tuple[str, ...]:
+    """Return the names of the products that have something."""
+    return tuple(name for name, product in PRODUCTS.items() if has(product))
+
+
+VIEW_PRODUCTS = products_with(lambda each: each.view_formats)
+"""Products that HTTP serves of views."""
+
+MAP_PRODUCTS = products_with(lambda each: each.map_formats)
+"""Products that HTTP serves as tiles and maps."""
+
+RASTER_PRODUCTS = products_with(lambda each: each.is_raster)
+"""Products that are written as rasters of any size."""
+
+SEEDED_PRODUCTS = products_with(lambda each: each.when != "days" and set(each.map_formats) & set(PICTURE_FORMATS))
+"""Products of pyramids of tiles. Those of whole dates are not among them: too much ground counts to tell what has changed."""
+
+
+def product_named(name: str, allowed: tuple[str, ...] | None = None, parameter: str = "layer") -> Product:
+    """Return a product by its name, one of those ``allowed`` (default: any). Raises ``InputError``."""
+    if name not in PRODUCTS or (allowed is not None and name not in allowed):
+        raise InputError(parameter, name, ", ".join(PRODUCTS if allowed is None else allowed))
+    return PRODUCTS[name]
+
+
+def product_table() -> str:
+    """Return the table of products that the documentation has: name, what it shows, formats, and the options that it takes."""
+    rows = [
+        f"| `{product.name}` | {product.about} | {', '.join(product.map_formats)} | "
+        f"{', '.join(f'`{name}`' for name in product.options.model_fields) or '-'} |"
+        for product in map(PRODUCTS.__getitem__, MAP_PRODUCTS)
+    ]
+    return "\n".join(("| product | shows | formats | options |", "| --- | --- | --- | --- |", *rows, ""))

@@ -1,0 +1,21 @@
+"""The product ``color``: shaded relief with cast shadows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skugga.api.products.product import Part, Product
+
+
+def _compute(part: Part) -> np.ndarray:
+    """RGBA, transparent where there is no surface. The sky of a perspective view is opaque."""
+    color = part.drawn.color
+    assert color is not None
+    alpha = np.where(part.drawn.opaque, np.uint8(255), np.uint8(0))
+    return np.concatenate([color, alpha[..., None]], axis=-1)
+
+
+PRODUCT = Product(
+    name="color", about="shaded relief with cast shadows", formats=("png", "webp", "tif", "jpg"), compute=_compute,
+    needs=frozenset({"color", "opacity", "reach"}), dtype="uint8", bands=4, nodata=None, is_picture=True, is_display=True,
+)  # fmt: skip

@@ -1,0 +1,47 @@
+"""The products of the ground's heights: as numbers, and in the colours that map clients draw terrain from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skugga.api.products.product import NEEDS_FRAME, HeightEncoding, Part, Product
+from skugga.api.terrain_encodings import terrain_rgb, terrarium
+
+
+def height_m(part: Part) -> np.ndarray:
+    """float32 (rows, cols): the ground's heights in a map, those of what is seen in perspective; NaN where there is none."""
+    return part.ground_height_m if part.picture is None else part.frame.height_m
+
+
+def nodata_height_m(lowest_m: float) -> float:
+    """The height of places off the data: whole metres at or below a level's lowest ground, so that none stands up."""
+    return float(np.floor(lowest_m))
+
+
+def encoded_heights(heights_m: np.ndarray, nodata_m: float, encoding: HeightEncoding) -> np.ndarray:
+    """Heights (rows, cols) as RGB (rows, cols, 3) uint8; those that are NaN become ``nodata_m``."""
+    known = np.where(np.isnan(heights_m), nodata_m, heights_m)
+    return terrain_rgb(known) if encoding == "mapbox" else terrarium(known)
+
+
+def _encoded(name: str, about: str, encoding: HeightEncoding) -> Product:
+    def compute(part: Part) -> np.ndarray:
+        return encoded_heights(height_m(part), nodata_height_m(part.scene.height_range_m[0]), encoding)
+
+    def empty(rows: int, cols: int, lowest_m: float) -> np.ndarray:
+        return encoded_heights(np.full((rows, cols), np.nan), nodata_height_m(lowest_m), encoding)
+
+    return Product(
+        name=name, about=about, formats=("png", "webp"), compute=compute, when="none", perspective_needs=NEEDS_FRAME, dtype="uint8",
+        bands=3, nodata=None, encoding=encoding, empty=empty,
+    )  # fmt: skip
+
+
+PRODUCTS = (
+    Product(
+        name="height", about="the ground's heights in metres", formats=("npy", "tif"), compute=height_m, when="none",
+        perspective_needs=NEEDS_FRAME, unit="m",
+    ),
+    _encoded("terrain-rgb", "heights in Mapbox's encoding, for terrain in three dimensions", "mapbox"),
+    _encoded("terrarium", "heights in Terrarium's encoding", "terrarium"),
+)  # fmt: skip

@@ -1,0 +1,19 @@
+"""The product ``cosi``: the cosine of the sun's angle of incidence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skugga.api.products.product import Part, Product
+
+
+def _compute(part: Part) -> np.ndarray:
+    from skugga.shadows.sunlit_ground import cosine_of_incidence
+
+    return cosine_of_incidence(part.scene, part.map_view)
+
+
+PRODUCT = Product(
+    name="cosi", about="the cosine of the sun's angle of incidence on the ground", formats=("tif", "npy"), compute=_compute,
+    view_kinds=("map",), unit="1",
+)  # fmt: skip

@@ -1,0 +1,22 @@
+"""The product ``mask``: classes of shadow, light and no surface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skugga.api.products.product import Part, Product
+from skugga.api.products.visibility import VISIBILITY, visibility_of
+
+MASK_SHADOW, MASK_NO_SURFACE, MASK_LIT = 0, 128, 255
+
+
+def _compute(part: Part) -> np.ndarray:
+    classes = np.where(visibility_of(part) < 0.5, MASK_SHADOW, MASK_LIT)
+    return np.where(part.drawn.valid, classes, MASK_NO_SURFACE).astype(np.uint8)
+
+
+PRODUCT = Product(
+    name="mask", about=f"gray: {MASK_SHADOW} shadow, {MASK_LIT} lit, {MASK_NO_SURFACE} no surface",
+    formats=("png", "webp", "tif", "npy"), compute=_compute, needs=VISIBILITY, dtype="uint8", nodata=MASK_NO_SURFACE,
+    is_smooth=False, is_picture=True,
+)  # fmt: skip

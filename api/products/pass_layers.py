@@ -1,0 +1,66 @@
+"""Intermediate pictures: what the passes of an algorithm leave behind on the way to a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from skugga.api.products.product import NEEDS_FRAME, MapFormat, Part, Product
+from skugga.shadows.passes import PassLayer
+from skugga.terrain.errors import InputError
+
+VOLUME_COLOR = (255, 120, 30)
+"""sRGB of shadow volumes in a picture: warmer than ground, snow and sky are."""
+
+FACE_COVERS, ALL_COVER = 0.12, 0.8
+"""Share of the light from behind that each face of a volume takes in a picture, of the most that all of them together take: what
+lies behind a hundred volumes can still be made out.
+"""
+
+
+def _gray_of_depths(array: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """uint16, nearest to the light brightest, black where nothing casts."""
+    return np.rint(65535.0 * (1.0 - np.nan_to_num(array, nan=1.0))).astype(np.uint16)
+
+
+def _spread(array: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """uint8, values spread so that the largest is bright."""
+    return array * np.uint8(255 // max(int(array.max()), 1))
+
+
+def _over_color(array: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """uint8 (rows, cols, 3): volumes translucent over the frame's colour. The colour is repeated where several algorithms left
+    their volumes beside one another.
+    """
+    behind = np.tile(color, (array.shape[0] // color.shape[0], array.shape[1] // color.shape[1], 1))
+    covered = (ALL_COVER * (1.0 - (1.0 - FACE_COVERS) ** np.arange(256)))[array, None]
+    return np.rint((1.0 - covered) * behind + covered * np.array(VOLUME_COLOR)).astype(np.uint8)
+
+
+def _layer(layer: PassLayer, about: str, formats: tuple[MapFormat, ...], to_picture: Callable[..., Any] | None = None) -> Product:
+    def compute(part: Part) -> np.ndarray:
+        """The layer of the frame's first light, as its pass left it."""
+        frame = part.frame
+        by_light, light = frame.layers.get(layer, {}), next(iter(frame.visibilities))
+        if not by_light:
+            raise InputError("layer", layer, "a layer of a drawn pass: in this view no light has any")
+        if light not in by_light:
+            raise InputError("light", light, f"for layer {layer}: {', '.join(by_light)}")
+        return by_light[light]
+
+    return Product(
+        name=layer, about=about, formats=formats, compute=compute, needs=NEEDS_FRAME, pass_layer=layer, to_picture=to_picture
+    )  # fmt: skip
+
+
+PRODUCTS = (
+    _layer("shadow-map", "depths of shadow maps, nearest to the light brightest", ("npy", "png"), _gray_of_depths),
+    _layer("stencil", "the stencil that shadow volumes count in", ("npy", "png"), _spread),
+    _layer(
+        "silhouettes", "edges of casters as the light sees them; of a hybrid, the pixels left to its volumes", ("npy", "png")
+    ),
+    _layer("volumes", "shadow volumes over the picture", ("npy", "png"), _over_color),
+    _layer("shadow-height", "", ("npy", "tif")),
+)  # fmt: skip

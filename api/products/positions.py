@@ -1,0 +1,41 @@
+"""The products ``depth`` and ``position``: where a frame's pixels lie."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skugga.api.products.product import NEEDS_FRAME, Part, Product
+
+
+def _depth(part: Part) -> np.ndarray:
+    """float32, metres: in a map straight down from the level's highest ground, else along the view's axis from the eye."""
+    from skugga.terrain.geo.grid import MapView
+
+    view, frame = part.view, part.frame
+    if isinstance(view, MapView):
+        return np.where(frame.there, part.scene.height_range_m[1] - frame.height_m, np.nan).astype(np.float32)
+    return ((frame.position_earth_m - view.eye_earth_m) @ view.earth_from_camera[:, 2]).astype(np.float32)
+
+
+def _position(part: Part) -> np.ndarray:
+    """float64 (rows, cols, 3): x and y in the view's CRS (of a perspective view, that of the level's maps), and the height."""
+    from skugga.terrain.geo.grid import MapView
+
+    view, frame = part.view, part.frame
+    out = np.full((view.rows, view.cols, 3), np.nan)
+    row, col = np.nonzero(frame.there)
+    if isinstance(view, MapView):
+        out[row, col, 0] = view.grid.x(view.col0 + col * view.col_step)
+        out[row, col, 1] = view.grid.y(view.row0 + row * view.row_step)
+        out[row, col, 2] = frame.height_m[row, col]
+    elif frame.position_earth_m is not None:
+        out[row, col] = np.stack(part.scene.world.map_position(part.scene.map_crs, frame.position_earth_m[row, col]), axis=-1)
+    return out
+
+
+PRODUCTS = (
+    Product(name="depth", about="", formats=("npy", "tif"), compute=_depth, needs=NEEDS_FRAME, unit="m", is_served=False),
+    Product(
+        name="position", about="", formats=("npy",), compute=_position, needs=NEEDS_FRAME, dtype="float64", bands=3, is_served=False
+    ),
+)

@@ -1,0 +1,22 @@
+"""The product ``shadow``: the shadow as the opacity of black, to lie over other maps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skugga.api.products.product import Part, Product
+
+
+def _compute(part: Part) -> np.ndarray:
+    """RGBA: black whose alpha is 1 - visibility, transparent where there is no surface."""
+    opacity = part.drawn.opacity
+    assert opacity is not None
+    out = np.zeros((*opacity.shape, 4), np.uint8)
+    out[..., 3] = opacity
+    return out
+
+
+PRODUCT = Product(
+    name="shadow", about="black with the shadow as opacity", formats=("png", "webp", "tif"), compute=_compute,
+    needs=frozenset({"color", "opacity", "reach"}), dtype="uint8", bands=4, nodata=None, is_picture=True,
+)  # fmt: skip

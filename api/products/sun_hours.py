@@ -1,0 +1,208 @@
+"""The product ``sunhours``: how long, from when to when, and on how many days the sun is seen."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from skugga.api.color_scale import ColorScale
+from skugga.api.products.product import Part, Product, ProductOptions
+from skugga.terrain.errors import UnsupportedError
+
+if TYPE_CHECKING:
+    from skugga.shadows.plan import Plan
+    from skugga.shadows.sun_hours.sun_hours import SunHours, SunRules
+    from skugga.terrain.geo.daily_windows import DailyWindow
+    from skugga.terrain.geo.grid import MapView
+    from skugga.terrain.geo.world import World
+    from skugga.terrain.scene import Scene
+
+NAME = "sunhours"
+
+TILE_STEP_MIN = 5.0
+"""Minutes between two suns of a tile: right to half a minute on average in mountains, and a block takes seconds."""
+
+MAX_TICKS = 7
+
+BLOCK_NODES = 2048
+"""Side of a block of bare ground: twice a picture's, since each of its suns looks for casters beside it anew."""
+
+LARGE_RASTER_CELLS = 16_000_000
+"""Cells of a raster from which on its blocks are smaller: what may stand beside one is more than itself, and memory is bounded."""
+
+BLOCK_NODES_OF_LARGE = 1024
+
+MIN_BLOCK_NODES = 64
+
+Date = datetime.date  # under this name the model's own field leaves it alone
+
+SunQuantity = Literal["hours", "first", "last", "longest", "days"]
+
+QUANTITIES: dict[SunQuantity, tuple[str, str]] = {
+    "hours": ("hours of direct sun, mean of the dates", "h"),
+    "first": ("first sun of any date, minutes from midnight by the clock", "min"),
+    "last": ("last sun of any date, minutes from midnight by the clock", "min"),
+    "longest": ("longest unbroken sun of any date", "h"),
+    "days": ("days with enough direct sun", "d"),
+}
+"""Quantity -> what its cells are, and their unit. They are NaN off the surface; those of first and last sun also without sun."""
+
+
+class SunHoursOptions(ProductOptions):
+    """Options of hours of sun: which dates, which part of them by which clock, and what counts as sun."""
+
+    UNSERVED: ClassVar[Mapping[str, Any]] = {"to": None, "every_days": 1, "step_min": TILE_STEP_MIN, "threshold_h": 2.0}
+
+    date: Date = Field(description="The date, as 2024-03-21.", examples=["2024-03-21"])
+    to: Date | None = Field(default=None, description="The last of several dates.", examples=["2024-06-21"])
+    every_days: int = Field(default=1, ge=1, le=366, description="Days between two of several dates.", examples=[7])
+    quantity: SunQuantity = Field(default="hours", description="What is shown; default: `hours`.", examples=["first"])
+    window: str = Field(
+        default="00:00-24:00", max_length=20, description="Part of the date that counts, as 08:00-16:00.", examples=["08:00-16:00"]
+    )
+    clock: str = Field(
+        default="solar", max_length=60, examples=["Europe/Oslo"],
+        description="By which date and window go: solar (the default), utc, +02:00 or Europe/Oslo.",
+    )  # fmt: skip
+    height: float = Field(default=0.0, ge=0.0, le=1000.0, description="Metres above the ground.", examples=[1.7])
+    least_altitude: float = Field(default=0.0, ge=-1.0, lt=90.0, description="Of a sun that counts, degrees.", examples=[3])
+    step_min: float | None = Field(default=None, ge=0.5, le=60.0, description="Minutes between two suns; default: as needed.")
+    threshold_h: float = Field(default=2.0, ge=0.0, le=24.0, description="Hours of sun that a day counts from.")
+
+    def windows(self, world: World) -> list[DailyWindow]:
+        """The windows of the dates. Raises ``InputError``, also in a flat world."""
+        from skugga.terrain.geo.clock import clock_named
+        from skugga.terrain.geo.daily_windows import readings_of, windows_asked
+
+        readings, clock = readings_of(self.window), clock_named("clock", self.clock)
+        return windows_asked(world, self.date, self.to or self.date, self.every_days, readings, clock)
+
+    @property
+    def rules(self) -> SunRules:
+        """What counts as sun."""
+        from skugga.shadows.sun_hours.sun_hours import SunRules
+
+        return SunRules(self.step_min, self.threshold_h, self.least_altitude, self.height)
+
+
+def _compute(part: Part) -> np.ndarray:
+    """float32 (rows, cols) of the quantity."""
+    values: np.ndarray = getattr(_sun_hours(part), part.options.quantity)
+    return values
+
+
+def _sun_hours(part: Part) -> SunHours:
+    from skugga.shadows.sun_hours.sun_hours import sun_hours
+    from skugga.shadows.sun_hours.suns import window_suns
+
+    scene, view, options = part.scene, part.map_view, part.options
+    days = window_suns(scene.world, options.windows(scene.world))
+    return sun_hours(scene, view, days, options.rules, _plan_of(scene, view), part.on_step)
+
+
+def _plan_of(scene: Scene, view: MapView) -> Callable[[Scene], Plan]:
+    """What plans a block under a sun, where something stands on its ground."""
+
+    def plan(lit: Scene) -> Plan:
+        from skugga.api.device_calibration import calibration_for
+        from skugga.selector.select import plan_of_view
+
+        return plan_of_view(lit, view, "map", {}, device=calibration_for(scene.loaded.level.shadows, {}))
+
+    return plan
+
+
+def _color_scale(options: SunHoursOptions, world: World) -> ColorScale:
+    """The colours of a whole level: from no hours to as many as the sun is up there, or from its rise to its set."""
+    from skugga.shadows.sun_hours.suns import window_suns
+    from skugga.terrain.geo.daily_windows import clock_text
+
+    window = options.windows(world)[0]
+    (sun,) = window_suns(world, [window])
+    up_min = sun.times_min[sun.altitude_deg > options.least_altitude]
+    on = f"{options.date.day} {options.date:%B %Y}"
+    if options.quantity == "days":
+        return ColorScale(f"Days with sun, {on}", "inferno", 0.0, 1.0, _ticks(0.0, 1.0, 1.0, lambda value: f"{value:.0f}"))
+    if options.quantity in ("hours", "longest"):
+        high = float(max(np.ceil(len(up_min) / 60.0), 1.0))
+        what = "Hours of sun" if options.quantity == "hours" else "Longest spell of sun, hours"
+        return ColorScale(f"{what}, {on}", "inferno", 0.0, high, _ticks(0.0, high, 1.0, lambda value: f"{value:.0f}"))
+    rise, set_ = (window.reading_min(float(end)) for end in (up_min[[0, -1]] if len(up_min) else (0.0, window.minutes)))
+    low, high = float(np.floor(rise / 60.0) * 60.0), float(np.ceil(set_ / 60.0) * 60.0)
+    what = f"{options.quantity.capitalize()} sun"
+    return ColorScale(f"{what}, {on} ({options.clock})", "viridis", low, high, _ticks(low, high, 60.0, clock_text))
+
+
+def _ticks(low: float, high: float, unit: float, text: Callable[[float], str]) -> tuple[tuple[float, str], ...]:
+    every = next(each for each in (1, 2, 3, 4, 6, 12) if (high - low) / (each * unit) < MAX_TICKS)
+    return tuple((float(value), text(float(value))) for value in np.arange(low, high + unit / 2.0, every * unit))
+
+
+def _tags(options: SunHoursOptions, scene: Scene) -> dict[str, str]:
+    from skugga.terrain.geo.daily_windows import clock_text
+
+    windows = options.windows(scene.world)
+    first, last = windows[0], windows[-1]
+    return {
+        "quantity": options.quantity, "date": first.date.isoformat(),
+        "date_to": "" if len(windows) == 1 else last.date.isoformat(), "dates": str(len(windows)),
+        "window": f"{clock_text(first.clock_min)}-{clock_text(round(first.reading_min(first.minutes)))}", "clock": options.clock,
+        "step_min": "auto" if options.step_min is None else f"{options.step_min:g}",
+        "threshold_h": f"{options.threshold_h:g}" if options.quantity == "days" else "",
+        "least_altitude_deg": f"{options.least_altitude:g}", "height_m": f"{options.height:g}",
+    }  # fmt: skip
+
+
+def _steps(options: SunHoursOptions) -> int:
+    """The number of dates."""
+    return ((options.to or options.date) - options.date).days // options.every_days + 1
+
+
+def _check(scene: Scene) -> None:
+    from skugga.terrain.gbuffer.covered_nodes import is_bare
+
+    if not is_bare(scene):  # each of many suns would be a picture
+        raise UnsupportedError("layer", NAME, "something stands on this level's ground: skugga sunhours writes it as a raster")
+
+
+def sun_blocks(scene: Scene, view: MapView) -> list[tuple[MapView, int, int]]:
+    """Return the blocks of a map in which hours of sun are found, as ``blocks_of`` does.
+
+    Those of bare ground are larger, fixed on the cells' own grid, and end where the raster ends.
+    """
+    from skugga.shadows.sun_hours.sun_hours import ground_extent
+    from skugga.terrain.gbuffer.covered_nodes import WIDE_M, is_bare
+    from skugga.terrain.geo.grid import blocks_of, step_at_anchor_m
+
+    if not is_bare(scene):
+        return blocks_of(view)
+    nodes = view.as_nodes()
+    side = BLOCK_NODES if scene.elevation.rows * scene.elevation.cols < LARGE_RASTER_CELLS else BLOCK_NODES_OF_LARGE
+    if not scene.world.flat:
+        side = int(np.clip(WIDE_M / step_at_anchor_m(scene.world, nodes.grid), MIN_BLOCK_NODES, side))
+    limits: Sequence[tuple[int, int]] = [
+        (int(max(np.floor(low), -side)), int(min(np.ceil(high) + 1.0, count + side)))
+        for (low, high), count in zip(ground_extent(scene, nodes), (view.rows, view.cols), strict=True)
+    ]
+    (top, bottom), (left, right) = limits
+    blocks = []
+    for row in range(-(int(nodes.row0) % side), view.rows, side):
+        for col in range(-(int(nodes.col0) % side), view.cols, side):
+            first_row, first_col = max(row, top), max(col, left)
+            rows, cols = min(row + side, bottom) - first_row, min(col + side, right) - first_col
+            meets = first_row + rows > 0 and first_row < view.rows and first_col + cols > 0 and first_col < view.cols
+            if rows > 0 and cols > 0 and meets:
+                blocks.append((nodes.part(first_row, first_col, rows, cols), first_row, first_col))
+    return blocks
+
+
+PRODUCT = Product(
+    name=NAME, about="how long the sun is seen on a `date`", formats=("png", "webp", "tif", "npy"), compute=_compute,
+    view_kinds=("map",), when="days", options=SunHoursOptions, unit="h", color_scale=_color_scale,
+    describe=lambda options: QUANTITIES[options.quantity], blocks=sun_blocks, steps=_steps,
+    tags=_tags, check=_check,
+)  # fmt: skip

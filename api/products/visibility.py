@@ -1,0 +1,23 @@
+"""The product ``visibility``: how much of the light reaches the pixels' own points."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skugga.api.products.product import Part, Product
+from skugga.shadows.picture import Needs
+
+VISIBILITY: Needs = frozenset({"visibility", "reach"})
+
+
+def visibility_of(part: Part) -> np.ndarray:
+    """float32 (rows, cols) of the first light, NaN where there is no surface."""
+    visibility = part.drawn.visibility
+    assert visibility is not None
+    return visibility
+
+
+PRODUCT = Product(
+    name="visibility", about="the share of the light that reaches the ground, 0 to 1", formats=("npy", "tif"),
+    compute=visibility_of, needs=VISIBILITY, unit="1",
+)  # fmt: skip

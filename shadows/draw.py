@@ -1,0 +1,107 @@
+"""``draw``: execute a plan for what a caller needs of a view, in the fastest way that shows it.
+
+This module alone decides whether the heights of bare ground suffice. Where they do, no geometry buffer is made for each sun. Where
+they do not, ``render_frame`` draws. Both show the same pixels, so tiles, maps, films and rasters agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from skugga.shadows.ground_pictures import ground_picture, is_shaded_by_heights
+from skugga.shadows.passes import PassLog
+from skugga.shadows.picture import Needs, Picture
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import Frame, check_pixels, render_block, render_frame, under_sky, worse_reach
+from skugga.shadows.sunlit_ground import is_lit_by_heights, sunlit_picture
+from skugga.shadows.visibility import with_apparent_sun
+from skugga.terrain.geo.camera import PerspectiveView
+from skugga.terrain.geo.grid import MapView, blocks_of, windows_of
+from skugga.terrain.scene import Scene
+
+SHADED: Needs = frozenset({"color", "opacity", "reach"})
+LIT: Needs = frozenset({"visibility", "reach"})
+
+
+def draw(
+    scene: Scene, view: MapView | PerspectiveView, plan: Plan, needs: Needs, on_block: Callable[[int, int], None] | None = None
+) -> Picture:
+    """Draw what is needed of a view by a plan; ``on_block(done, total)`` is called after each block.
+
+    Raises
+    ------
+    InputError
+        The view has more pixels than a frame may have.
+    RenderError
+        The work fails.
+    """
+    if not (isinstance(view, MapView) and heights_suffice(scene, view, plan, needs)):
+        return picture_of(render_frame(scene, view, plan, on_block), needs)
+    check_pixels(view)
+    log = PassLog()
+    scene = under_sky(scene, plan, log)
+    blocks, whole = blocks_of(view), None
+    for done, (block, row, col) in enumerate(blocks, start=1):
+        part = _draw_block(scene, block, plan, needs, log)
+        if len(blocks) == 1 and (block.rows, block.cols) == (view.rows, view.cols):
+            whole = part
+        else:
+            whole = _with_part(whole or _empty(view, needs), part, *windows_of(view, block, row, col))
+        if on_block is not None:
+            on_block(done, len(blocks))
+    assert whole is not None
+    return replace(whole, passes=tuple(log.records.values()))
+
+
+def heights_suffice(scene: Scene, view: MapView | PerspectiveView, plan: Plan, needs: Needs) -> bool:
+    """Whether what is needed of a view is drawn by loops over heights: then any thread can draw it."""
+    if not isinstance(view, MapView):
+        return False
+    scene = with_apparent_sun(scene, plan.runs)
+    return (needs <= SHADED and is_shaded_by_heights(scene, plan)) or (needs <= LIT and is_lit_by_heights(scene, view, plan))
+
+
+def picture_of(frame: Frame, needs: Needs) -> Picture:
+    """Return what is needed of a frame."""
+    return Picture(
+        frame.there,
+        frame.passes,
+        frame.color if "color" in needs else None,
+        frame.opacity if "opacity" in needs else None,
+        frame.visibility if "visibility" in needs else None,
+        frame.reach if "reach" in needs else None,
+        frame if "frame" in needs else None,
+        shows_sky=not isinstance(frame.view, MapView),
+    )
+
+
+def _draw_block(scene: Scene, block: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture:
+    """Draw a block of a map. Heights may turn out not to suffice: where triangles have to be looked at, and on wide blocks."""
+    of_heights = sunlit_picture if needs <= LIT else ground_picture
+    return of_heights(scene, block, plan, needs, log) or picture_of(render_block(scene, block, plan, log), needs)
+
+
+def _empty(view: MapView, needs: Needs) -> Picture:
+    """Return the picture of a view before any block of it is drawn."""
+    size = view.rows, view.cols
+    return Picture(
+        np.zeros(size, np.bool_),
+        (),
+        np.zeros((*size, 3), np.uint8) if "color" in needs else None,
+        np.zeros(size, np.uint8) if "opacity" in needs else None,
+        np.full(size, np.nan, np.float32) if "visibility" in needs else None,
+    )
+
+
+def _with_part(whole: Picture, part: Picture, inside: tuple[slice, slice], of_part: tuple[slice, slice]) -> Picture:
+    """Copy a window of a part into the whole, whose reach is that of its worst part."""
+    for name in ("valid", "color", "opacity", "visibility"):
+        into, array = getattr(whole, name), getattr(part, name)
+        if into is not None:
+            into[inside] = array[of_part]
+    reaches = [each.reach for each in (whole, part) if each.reach is not None]
+    reach = worse_reach(*reaches) if len(reaches) == 2 else next(iter(reaches), None)
+    return replace(whole, reach=reach)

@@ -1,0 +1,66 @@
+"""``Picture``: the arrays of a drawn view that its caller needs, and no others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from skugga.shadows.passes import PassRecord
+    from skugga.shadows.render import Frame
+    from skugga.terrain.casters.reach import Reach
+    from skugga.terrain.geo.grid import PixelWindow
+
+Need = Literal["color", "opacity", "visibility", "reach", "frame"]
+"""What a caller may need: a field of ``Picture``. ``frame`` stands for everything that a geometry buffer gives."""
+
+Needs = frozenset[Need]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """The arrays of a drawn view. Row 0 is the upper row; in a map it is the northern row.
+
+    Attributes
+    ----------
+    valid
+        bool (rows, cols): where the view shows a surface.
+    passes
+        The passes that ran, in the order of their first run.
+    color
+        uint8 (rows, cols, 3), sRGB; ``None`` unless needed.
+    opacity
+        uint8 (rows, cols): the opacity of the first light's shadow as it is shown, 0 off the surface; ``None`` unless needed.
+    visibility
+        float32 (rows, cols) in [0, 1]: the first light's visibility at the pixels' own points, NaN off the surface; ``None`` unless
+        needed.
+    reach
+        How far casters were looked for; ``None`` unless needed.
+    frame
+        The whole frame; ``None`` unless needed.
+    shows_sky
+        Whether pixels off the surface show the sky, as in a perspective view.
+    """
+
+    valid: np.ndarray
+    passes: tuple[PassRecord, ...]
+    color: np.ndarray | None = None
+    opacity: np.ndarray | None = None
+    visibility: np.ndarray | None = None
+    reach: Reach | None = None
+    frame: Frame | None = None
+    shows_sky: bool = False
+
+    @property
+    def opaque(self) -> np.ndarray:
+        """bool (rows, cols): where the colour means something: the surface, and in a perspective view the sky."""
+        return np.ones(self.valid.shape, np.bool_) if self.shows_sky else self.valid
+
+    def part(self, window: PixelWindow) -> Picture:
+        """Return a part of the picture, without a frame."""
+        color, opacity, visibility = (
+            None if each is None else each[window] for each in (self.color, self.opacity, self.visibility)
+        )  # fmt: skip
+        return Picture(self.valid[window], self.passes, color, opacity, visibility, self.reach, shows_sky=self.shows_sky)

@@ -1,0 +1,53 @@
+"""Smooth normals of a map's bare ground, for products that depend on how it slopes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skugga.terrain.gbuffer.bare_ground import bare_ground
+from skugga.terrain.gbuffer.geometry import map_geometry
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.geo.world import LocalFrame
+from skugga.terrain.scene import Scene
+
+
+def ground_normals(scene: Scene, view: MapView) -> tuple[np.ndarray, LocalFrame]:
+    """Return the unit normals of the ground in a map's pixels, and the frame that they are in.
+
+    Returns
+    -------
+    normal_frame
+        float32 (rows, cols, 3), NaN where there is no ground. Objects and water on the ground do not count.
+    frame
+        The local frame near the view's centre.
+    """
+    ground = bare_ground(scene, view, None) if view.on_nodes else None
+    if ground is None:
+        frame = scene.world.frame_near(view.grid.crs, *view.centre)
+        points = map_geometry(scene.surface(view.grid), view, frame)
+        return np.where(points.there[..., None], points.shading_normal_frame, np.float32(np.nan)), frame
+    normal_frame = np.full((view.rows, view.cols, 3), np.nan, np.float32)
+    normal_frame[ground.window] = np.where(ground.there[ground.window][..., None], ground.normal_frame, np.float32(np.nan))
+    return normal_frame, ground.frame
+
+
+def ground_normals_enu(scene: Scene, view: MapView) -> np.ndarray:
+    """Return the unit normals of the ground in a map's pixels towards east, true north and up at each pixel.
+
+    float32 (rows, cols, 3), NaN where there is no ground. They are right in any CRS, whatever the shape of its pixels. Up is
+    normal to the ellipsoid.
+    """
+    normal_frame, frame = ground_normals(scene, view)
+    if scene.world.flat:
+        return normal_frame
+    rows, cols = np.mgrid[: view.rows, : view.cols]
+    x = view.grid.x(view.col0 + cols * view.col_step)
+    y = view.grid.y(view.row0 + rows * view.row_step)
+    lon_deg, lat_deg = scene.world.lon_lat(view.grid.crs, x, y)
+    lon, lat = np.radians(lon_deg), np.radians(lat_deg)
+    earth = frame.directions_to_earth(normal_frame.astype(np.float64))
+    east = earth[..., 1] * np.cos(lon) - earth[..., 0] * np.sin(lon)
+    outwards = earth[..., 0] * np.cos(lon) + earth[..., 1] * np.sin(lon)  # from the earth's axis
+    north = earth[..., 2] * np.cos(lat) - outwards * np.sin(lat)
+    up = earth[..., 2] * np.sin(lat) + outwards * np.cos(lat)
+    return np.stack([east, north, up], axis=-1).astype(np.float32)

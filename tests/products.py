@@ -1,0 +1,57 @@
+"""Products as tests compute them: rasters under suns, hours of sun, and blocks of maps drawn the fast way or by frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skugga.api.compute import OnBlock, raster_array, write_rasters
+from skugga.api.products.sun_hours import SunHoursOptions
+from skugga.api.raster_view import RasterView
+from skugga.api.request import ProductRequest
+from skugga.shadows.draw import SHADED, draw
+from skugga.shadows.ground_pictures import ground_picture
+from skugga.shadows.passes import PassLog
+from skugga.shadows.picture import Picture
+from skugga.shadows.plan import Plan
+from skugga.shadows.render import under_sky
+from skugga.terrain.geo.grid import MapView
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import Scene
+
+
+def write_shade(
+    scene: Scene,
+    raster: RasterView,
+    product: str,
+    suns: Sequence[SunSpec | None],
+    paths: Sequence[Path],
+    on_step: OnBlock | None = None,
+) -> None:
+    """Write a product under some suns, a file each."""
+    write_rasters(scene, raster, [ProductRequest(product=product, sun=sun) for sun in suns], paths, {}, on_step)
+
+
+def shade_array(scene: Scene, raster: RasterView, product: str, sun: SunSpec | None) -> np.ndarray:
+    """Return a product under a sun as an array."""
+    return raster_array(scene, raster, ProductRequest(product=product, sun=sun))
+
+
+def sun_hours_of(**options: Any) -> ProductRequest:
+    """Return the request for hours of sun with some options."""
+    return ProductRequest(product="sunhours", options=SunHoursOptions(**options))
+
+
+def drawn(scene: Scene, view: MapView, plan: Plan) -> Picture:
+    """Return what a map shows, drawn in the fastest way."""
+    return draw(scene, view, plan, SHADED)
+
+
+def drawn_by_heights(scene: Scene, view: MapView, plan: Plan) -> Picture | None:
+    """Return what a block shows, drawn by the loops over heights, with the passes that ran; ``None`` where these do not suffice."""
+    log = PassLog()
+    picture = ground_picture(under_sky(scene, plan, log), view, plan, SHADED, log)
+    return None if picture is None else Picture(**{**vars(picture), "passes": tuple(log.records.values())})
