@@ -1,9 +1,10 @@
 /** The state as the part of the page's address after "#", so that what is seen can be bookmarked and sent. */
 
 import { formatMoment, parseMoment } from './moments';
-import { FIRST_STATE, LAYER_NAMES, QUANTITIES, type State, THEMES, type View } from './state';
+import { FIRST_STATE, QUANTITIES, type State, THEMES, type View } from './state';
 
 const KNOWN = new Set(['level', 'layer', 'style', 'time', 'azimuth', 'altitude', 'quantity', 'base', 'opacity', 'solid', 'theme', 'panel', 'view', 'map']);
+const LAYER = /^[a-z][a-z0-9-]*$/;
 const AZIMUTHS = [0, 360] as const;
 const ALTITUDES = [-90, 90] as const;
 const OPACITIES = [0, 1] as const;
@@ -41,7 +42,7 @@ export function addressFaults(hash: string, own: readonly string[]): string[] {
     ...wrong('time', (text) => parseMoment(text) !== null, 'a time is as 2024-06-21T12:00:00+02:00'),
     ...wrong('azimuth', range(AZIMUTHS), 'degrees from 0 to 360'),
     ...wrong('altitude', range(ALTITUDES), 'degrees from -90 to 90'),
-    ...wrong('layer', among(LAYER_NAMES), LAYER_NAMES.join(', ')),
+    ...wrong('layer', (text) => LAYER.test(text), 'a layer is a word, as shadow'),
     ...wrong('quantity', among(QUANTITIES), QUANTITIES.join(', ')),
     ...wrong('opacity', range(OPACITIES), 'a number from 0 to 1'),
     ...wrong('solid', among(['0', '1']), '0 or 1'),
@@ -59,7 +60,7 @@ export function readAddress(hash: string): Partial<State> {
   const own = Object.fromEntries([...parts].filter(([name]) => !KNOWN.has(name)));
   return defined({
     level: parts.get('level'),
-    layer: one(LAYER_NAMES, parts.get('layer')),
+    layer: LAYER.test(parts.get('layer') ?? '') ? parts.get('layer') : undefined,
     style: parts.get('style'),
     sunBy: moment ? 'time' : azimuth !== undefined || altitude !== undefined ? 'angles' : undefined,
     ...(moment ?? {}),

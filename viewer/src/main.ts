@@ -6,6 +6,7 @@ import { DayWaitLine } from './day_wait';
 import { type Dock, makeDock } from './dock';
 import { byId, html } from './dom';
 import { Frames } from './frames';
+import { hasLegend, layersOf } from './layers';
 import { coveredLeft, isSheet } from './layout';
 import { LevelMap } from './map';
 import { parseMoment } from './moments';
@@ -196,7 +197,7 @@ class Page {
       ...meant,
       style,
       shot: null,
-      layer: meant.layer && level.map_layers.includes(meant.layer) ? meant.layer : FIRST_STATE.layer,
+      layer: layersOf(level).find(({ name }) => name === meant.layer)?.name ?? FIRST_STATE.layer,
       level: level.name,
     });
     const { solid, view } = store.state;
@@ -310,9 +311,9 @@ class Page {
   }
 
   #showPicture(level: PlacedLevel, query: Query, signal: AbortSignal): void {
-    // Hours of sun are colours that another legend tells of: below it, those of before would say something wrong.
+    // Colours that stand for numbers have a legend: below it, those of before would say something wrong.
     const { layer, quantity, date } = store.state;
-    this.#shown.showLayer(JSON.stringify([level.name, layer === 'sunhours' && [quantity, date]]), {
+    this.#shown.showLayer(JSON.stringify([level.name, hasLegend(level, layer) && [layer, quantity, date]]), {
       attribution: level.attribution, bounds: level.bounds,
       minzoom: level.minzoom, maxzoom: level.maxzoom, tiles: [service.tiles(level.name, query)],
     });

@@ -1,16 +1,12 @@
 /** The first panel: what lies on the map, on what, and how it is seen. */
 
 import { html } from './dom';
+import { hasLegend, layersOf } from './layers';
 import type { Panel, PanelContext } from './panels';
 import { pictureQuery } from './query';
 import { type Legend, inWords, isAbort } from './service';
-import type { LayerName, Quantity, State } from './state';
+import type { Quantity, State } from './state';
 
-const LAYERS: readonly [LayerName, string, string][] = [
-  ['color', 'Shaded', 'Relief in the light of the sun, with the shadows it casts'],
-  ['shadow', 'Shadows', 'Shadows alone, to lie over a base map'],
-  ['sunhours', 'Hours of sun', 'How long the sun is seen on the date'],
-];
 const QUANTITY_WORDS: readonly [Quantity, string][] = [
   ['hours', 'Hours of sun'], ['first', 'First sun'], ['last', 'Last sun'], ['longest', 'Longest spell'],
 ];
@@ -29,7 +25,8 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
   const quantity = html('select', { id: 'quantity', onchange: () => store.set({ quantity: quantity.value as Quantity }) },
     ...QUANTITY_WORDS.map(([value, words]) => html('option', { value }, words)));
   const legend = html('div', { class: 'legend', 'aria-live': 'polite' });
-  const hours = html('div', {}, html('label', { class: 'row', for: 'quantity' }, 'Quantity', quantity), legend);
+  const quantityRow = html('label', { class: 'row', for: 'quantity' }, 'Quantity', quantity);
+  const numbers = html('div', {}, quantityRow, legend);
 
   const solid = html('input', { type: 'checkbox', id: 'solid', role: 'switch', onchange: () => store.set({ solid: solid.checked }) });
   const base = html('input', {
@@ -60,20 +57,21 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
   const opacityRow = html('div', {}, html('label', { class: 'row', for: 'opacity' }, 'Strength of the layer', opacity), without);
 
   container.append(
-    html('fieldset', {}, html('legend', { class: 'unseen' }, 'Layer'), layers), about, styleRow, hours,
+    html('fieldset', {}, html('legend', { class: 'unseen' }, 'Layer'), layers), about, styleRow, numbers,
     html('label', { class: 'row switch', for: 'solid' }, html('span', {}, 'Three dimensions'), solid),
     html('details', { class: 'base' }, html('summary', {}, 'Base map'), useBase, opacityRow),
   );
   if (store.state.base) container.querySelector('details')?.setAttribute('open', '');
 
   stops.push(store.watch((state) => [state.level, state.layer], (_, state) => {
-    const served = context.level().map_layers;
-    layers.replaceChildren(...LAYERS.filter(([name]) => served.includes(name)).map(([name, words]) => html(
+    const choices = layersOf(context.level());
+    layers.replaceChildren(...choices.map(({ name, label }) => html(
       'label', {}, html('input', { type: 'radio', name: 'layer', value: name, checked: name === state.layer, onchange: () => store.set({ layer: name }) }),
-      html('span', {}, words),
+      html('span', {}, label),
     )));
-    about.textContent = LAYERS.find(([name]) => name === state.layer)?.[2] ?? '';
-    hours.hidden = state.layer !== 'sunhours';
+    about.textContent = choices.find(({ name }) => name === state.layer)?.about ?? '';
+    numbers.hidden = !hasLegend(context.level(), state.layer);
+    quantityRow.hidden = state.layer !== 'sunhours';
     const styles = context.level().styles ?? [];
     styleRow.hidden = !styles.length || state.layer !== 'color';
     style.replaceChildren(...styles.map((name) => html('option', { value: name }, name.slice(0, 1).toUpperCase() + name.slice(1))));
@@ -87,11 +85,11 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
     opacityRow.hidden = !state.base;
     if (!baseNote.classList.contains('fail')) baseNote.textContent = 'Its server is then asked for tiles by your browser.';
   }));
-  stops.push(store.watch((state) => (state.layer === 'sunhours' ? [state.level, pictureQuery(state)] : null), (_, state) => void showLegend(state)));
+  stops.push(store.watch((state) => (hasLegend(context.level(), state.layer) ? [state.level, pictureQuery(state)] : null), (_, state) => void showLegend(state)));
 
   async function showLegend(state: State): Promise<void> {
     asking.abort();
-    if (state.layer !== 'sunhours') return;
+    if (!hasLegend(context.level(), state.layer)) return;
     asking = new AbortController();
     legend.classList.add('old');
     try {

@@ -23,6 +23,12 @@ export interface Level {
   /** What passes leave behind on the way to a picture. */
   readonly layers_between: readonly string[];
   readonly map_layers: readonly string[];
+  readonly products?: readonly {
+    readonly name: string;
+    readonly about: string;
+    readonly when: 'none' | 'sun' | 'days';
+    readonly legend: boolean;
+  }[];
   readonly algorithms: readonly string[];
   readonly sun: { readonly time?: string; readonly azimuth?: number; readonly altitude?: number } | null;
   /** Whether the level names no sun: `sun` is then one that the service chose. */

@@ -1,6 +1,7 @@
 /** The page's one state: what is shown, of what, under which sun. Everything else on the page follows from it. */
 
-export type LayerName = 'color' | 'shadow' | 'sunhours';
+/** A product that tiles are served of: one of `LAYER_NAMES`, or another one that the service lists (`layers.ts`). */
+export type LayerName = string;
 export type Quantity = 'hours' | 'first' | 'last' | 'longest';
 export type Theme = 'auto' | 'light' | 'dark';
 

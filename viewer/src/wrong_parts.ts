@@ -1,6 +1,7 @@
 /** What an address asks for and does not get: parts that mean nothing, and what the service or a level does not have. */
 
 import { addressFaults } from './address';
+import { layersOf } from './layers';
 import { panels } from './panels';
 import { type Level, isPlaced } from './service';
 import { shotsOf } from './stage';
@@ -19,7 +20,7 @@ export function wrongParts(hash: string, said: Partial<State>, level: Level): st
     ...panels().flatMap(({ faults }) => faults?.(own) ?? []),
     ...(panel === undefined || ids.includes(panel) ? [] : [`there is no panel '${panel}'`]),
     ...(!style || level.styles?.includes(style) ? [] : [`there is no style '${style}'`]),
-    ...(!layer || level.map_layers.includes(layer) ? [] : [`this level has no layer '${layer}'`]),
+    ...(!layer || layersOf(level).some(({ name: known }) => known === layer) ? [] : [`this level has no layer '${layer}'`]),
     ...(!shot || views.includes(shot) ? [] : [`there is no view '${shot}' to show here`]),
     ...(said.sunBy === 'time' && !isPlaced(level) ? ['there is no sun by time without a place on the earth'] : []),
   ];

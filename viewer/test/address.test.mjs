@@ -16,7 +16,7 @@ const PANELS = ['map', 'point', 'compare'];
 test('what an address has and means nothing is told of, part by part', () => {
   const wrong = [
     'time=yesterday', 'time=2024-02-30T10:00:00Z', 'time=2024-06-21T25:00:00Z', 'time=2024-06-21T10:00:00', 'azimuth=west', 'azimuth=361', 'altitude=91',
-    'layer=relief', 'quantity=all', 'opacity=2', 'solid=yes', 'theme=blue', 'map=here', 'map=9/99/0', 'tiem=1', 'time', 'style=%E0%A4%A',
+    'layer=Re-lief!', 'quantity=all', 'opacity=2', 'solid=yes', 'theme=blue', 'map=here', 'map=9/99/0', 'tiem=1', 'time', 'style=%E0%A4%A',
   ];
   for (const part of wrong) {
     const faults = addressFaults(`#level=hills&${part}`, PANELS);

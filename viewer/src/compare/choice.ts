@@ -34,7 +34,7 @@ export function otherQuery(state: State, choice: Choice): Query {
   switch (kind) {
     case 'time': return pictureQuery({ ...state, sunBy: 'time', minutes: minutesIn(value) ?? state.minutes });
     case 'date': return pictureQuery({ ...state, date: value });
-    case 'layer': return pictureQuery({ ...state, layer: value as LayerName });
+    case 'layer': return pictureQuery({ ...state, layer: value });
     case 'style': return pictureQuery({ ...state, style: value });
     case 'setting': return { ...pictureQuery(state), [name]: value };
   }
@@ -46,7 +46,7 @@ export function sideName(state: State, compared: Choice, own: boolean): string {
   switch (kind) {
     case 'time': return own ? clockText(state.minutes) : value;
     case 'date': return own ? state.date : value;
-    case 'layer': return LAYER_WORDS[own ? state.layer : (value as LayerName)];
+    case 'layer': return layerWords(own ? state.layer : value);
     case 'style': return own ? (state.style ?? 'own style') : value;
     case 'setting': {
       const said = own ? (state.own[`plan-${name}`] ?? 'automatic') : value;
@@ -56,7 +56,12 @@ export function sideName(state: State, compared: Choice, own: boolean): string {
   }
 }
 
-export const LAYER_WORDS: Record<LayerName, string> = { color: 'Shaded relief', shadow: 'Shadows', sunhours: 'Hours of sun' };
+/** What the two sides of a comparison call a layer. */
+export function layerWords(layer: LayerName): string {
+  return LAYER_WORDS[layer] ?? layer;
+}
+
+const LAYER_WORDS: Readonly<Record<string, string>> = { color: 'Shaded relief', shadow: 'Shadows', sunhours: 'Hours of sun' };
 
 function minutesIn(text: string): number | null {
   const found = /^([01]\d|2[0-3]):([0-5]\d)$/.exec(text);

@@ -7,7 +7,7 @@ import type { Panel, PanelContext } from '../panels';
 import { inWords, isAbort } from '../service';
 import { withSetting } from '../shadow_settings';
 import { LAYER_NAMES, type State } from '../state';
-import { type Choice, type Kind, LAYER_WORDS, otherQuery, parseChoice, sideName } from './choice';
+import { type Choice, type Kind, layerWords, otherQuery, parseChoice, sideName } from './choice';
 import { Divider } from './divider';
 import { OtherMap } from './other_map';
 import { type Setting, shadowSettings } from './settings';
@@ -102,8 +102,8 @@ function mount(container: HTMLElement, context: PanelContext): () => void {
       case 'time': return [input('time', 'On the right, at', choice.value, change), said(`On the left: ${clockText(state.minutes)}, as on the dial.`)];
       case 'date': return [input('date', 'On the right, on', choice.value, change), said(`On the left: ${state.date}.`)];
       case 'layer': return [
-        select('compare-right', 'On the right', LAYER_NAMES.map((name) => [name, LAYER_WORDS[name]]), choice.value, change),
-        said(`On the left: ${LAYER_WORDS[state.layer]}.`),
+        select('compare-right', 'On the right', LAYER_NAMES.map((name) => [name, layerWords(name)]), choice.value, change),
+        said(`On the left: ${layerWords(state.layer)}.`),
       ];
       case 'style': {
         const styles = (level().styles ?? []).map((name): [string, string] => [name, name]);
