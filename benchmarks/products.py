@@ -1,0 +1,108 @@
+"""Time and memory of products, here and in another checkout: blocks of tiles, maps, rasters of masks, and a day of hours of sun.
+
+    python -m benchmarks.products dem.tif --base ../before
+
+Both checkouts take turns, each run in a process of its own, on warm loops; the table has the median CPU milliseconds of each, their
+ratio, and the peak of memory. Suns are new in each run, the ground is the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parents[1]
+
+CODE = """
+import json, resource, sys, time
+from pathlib import Path
+import skugga
+from skugga.api.workers.jobs import BlockJob, LevelKey, MapJob
+from skugga.api.workers.render_worker import run_job
+from skugga.api.workers.warm_up import warm_up
+from skugga.api.workers.worker_state import WorkerState, tiles_view
+from skugga.api.workers.jobs import Tiles
+from skugga.terrain.level.level import load_level
+from skugga.terrain.level.parts import SunSpec
+from skugga.terrain.scene import build_scene
+try:
+    from skugga.api.request import PictureRequest, ProductRequest
+except ImportError:
+    from skugga.api.workers.jobs import PictureRequest
+    ProductRequest = None
+raster, zoom, repeats = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+state, key = WorkerState(warm_up()), LevelKey(path=raster, version="1")
+scene = build_scene(load_level(raster))
+view = tiles_view(scene, Tiles(matrix_set="WebMercatorQuad", zoom=zoom))
+block_x, block_y = int(view.col0) // 1024, int(view.row0) // 1024
+def asked(layer, azimuth):
+    sun = SunSpec(azimuth=azimuth, altitude=20.0)
+    if ProductRequest is None:
+        return {"layer": layer, "request": PictureRequest(sun=sun)}
+    return {"request": ProductRequest(product=layer, sun=sun)}
+def block(layer, azimuth):
+    place = {"matrix_set": "WebMercatorQuad", "zoom": zoom, "block_x": block_x, "block_y": block_y}
+    run_job(BlockJob(level=key, **place, **asked(layer, azimuth)), state)
+def a_map(layer, azimuth):
+    run_job(MapJob(level=key, bounds=None, crs=None, size=(700, 700), format="png", **asked(layer, azimuth)), state)
+level = skugga.open_level(raster)
+cases = {
+    "block of colour tiles": lambda n: block("color", 100.0 + n), "block of mask tiles": lambda n: block("mask", 100.5 + n),
+    "block of shadow tiles": lambda n: block("shadow", 101.0 + n), "block of heights": lambda n: block("terrarium", 100.0),
+    "map of colours, 700 x 700": lambda n: a_map("color", 102.0 + n),
+    "raster of a mask": lambda n: level.shade("mask", azimuth=103.0 + n, altitude=20.0),
+    "raster of colours": lambda n: level.shade("color", azimuth=104.0 + n, altitude=20.0),
+    "raster of a day of hours": lambda n: level.sun_hours("2024-03-21", step_min=30.0),
+}
+found = {}
+for name, run in cases.items():
+    took = []
+    for n in range(repeats + 1):
+        start = time.process_time()
+        run(7.0 * n)
+        took.append(1e3 * (time.process_time() - start))
+    found[name] = sorted(took[1:])[len(took[1:]) // 2]
+print(json.dumps({"ms": found, "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}))
+"""
+
+
+def measured(checkout: Path, raster: Path, zoom: int, repeats: int) -> dict[str, float]:
+    """CPU milliseconds of each case in a checkout, and the peak of memory, MiB."""
+    command = [sys.executable, "-c", CODE, str(raster.resolve()), str(zoom), str(repeats)]
+    done = subprocess.run(
+        command, cwd=checkout, env={**os.environ, "PYTHONPATH": str(checkout)}, capture_output=True, text=True, check=False
+    )  # fmt: skip
+    if done.returncode:
+        raise SystemExit(done.stderr)
+    found = json.loads(done.stdout.splitlines()[-1])
+    return {**found["ms"], "peak of memory, MiB": found["peak_mib"]}
+
+
+def main() -> None:
+    """Measure, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("raster", type=Path)
+    parser.add_argument("--base", type=Path, required=True, help="the other checkout")
+    parser.add_argument("--zoom", type=int, default=12)
+    parser.add_argument("--repeats", type=int, default=5, help="of each case in a process")
+    parser.add_argument("--turns", type=int, default=3, help="of each checkout; the first one warms loops")
+    given = parser.parse_args()
+    found: dict[str, list[tuple[float, float]]] = {}
+    for turn in range(given.turns + 1):
+        pair = [measured(each, given.raster, given.zoom, given.repeats) for each in (given.base.resolve(), HERE)]
+        if turn:
+            for name in pair[0]:
+                found.setdefault(name, []).append((pair[0][name], pair[1][name]))
+    print("| what | before | now | ratio |\n| --- | --- | --- | --- |")
+    for name, values in found.items():
+        before, now = (statistics.median(each) for each in zip(*values, strict=True))
+        print(f"| {name} | {before:.0f} | {now:.0f} | {now / before:.2f} |")
+
+
+if __name__ == "__main__":
+    main()
