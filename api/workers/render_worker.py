@@ -19,6 +19,7 @@ from skugga.api.compute import compute, draw_picture
 from skugga.api.device_calibration import calibration
 from skugga.api.encoding import as_picture, encode_exactly
 from skugga.api.picture_cost import check_cost
+from skugga.api.products.visibility import VISIBILITY
 from skugga.api.workers.block_tiles import Place, empty_tile, tiles_of_array, tiles_of_picture
 from skugga.api.workers.film_jobs import film_picture, first_plan
 from skugga.api.workers.jobs import (
@@ -63,7 +64,7 @@ from skugga.shadows.plan import Plan
 from skugga.terrain.cache import Missing
 from skugga.terrain.casters.reach import Reach
 from skugga.terrain.compiled import CORES
-from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS, compile_ahead
+from skugga.terrain.compiling.ahead import MAPS, MAPS_OF_CASTERS, MASKS, PICTURES, POINTS, PRODUCTS, SUN_HOURS, VIEWS, compile_ahead
 from skugga.terrain.compiling.farm import missing_tasks
 from skugga.terrain.compiling.hooks import compiled_by, need
 from skugga.terrain.compiling.loop_cache import loop_store
@@ -131,6 +132,8 @@ def product_of(job: Job, scene: Scene) -> str:
             return POINTS
         case BlockJob() | MapJob() if job.request.record.when == "days":
             return SUN_HOURS
+        case BlockJob() if job.request.record.needs == VISIBILITY and is_bare(scene):
+            return MASKS
         case SnapshotJob() | FrameJob() | FilmCheckJob() if _is_perspective(job, scene):
             return VIEWS
         case MapJob() | SnapshotJob() | FrameJob() | FilmCheckJob() if is_bare(scene):
