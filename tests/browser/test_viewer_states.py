@@ -73,7 +73,7 @@ def test_error_of_any_length_stays_in_its_box(make_viewer: Callable[..., Viewer]
         ("level=nosuch", "there is no level 'nosuch' here; this is Jacksboro fault, Tennessee"),
         ("time=yesterday", "time=yesterday is not understood: a time is as 2024-06-21T12:00:00+02:00"),
         ("time=2024-02-30T10:00:00-04:00", "time=2024-02-30T10:00:00-04:00 is not understood"),
-        ("layer=relief", "layer=relief is not understood: color, shadow, sunhours"),
+        ("layer=relief", "this level has no layer 'relief': color, shadow, sunhours"),
         ("azimuth=west&altitude=20", "azimuth=west is not understood"),
         ("style=baroque", "there is no style 'baroque'"),
         ("panel=nosuch", "there is no panel 'nosuch'"),

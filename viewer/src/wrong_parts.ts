@@ -14,13 +14,14 @@ export function wrongParts(hash: string, said: Partial<State>, level: Level): st
   const { level: name, panel, style, shot, layer, own = {} } = said;
   // What was saved for a level that is not here says nothing about another.
   if (name !== undefined && name !== level.name) return [`there is no level '${name}' here; this is ${level.title || level.name}`, ...wrong];
+  const layers = layersOf(level).map((choice) => choice.name);
   const views = isPlaced(level) ? [] : shotsOf(level);
   return [
     ...wrong,
     ...panels().flatMap(({ faults }) => faults?.(own) ?? []),
     ...(panel === undefined || ids.includes(panel) ? [] : [`there is no panel '${panel}'`]),
     ...(!style || level.styles?.includes(style) ? [] : [`there is no style '${style}'`]),
-    ...(!layer || layersOf(level).some(({ name: known }) => known === layer) ? [] : [`this level has no layer '${layer}'`]),
+    ...(!layer || layers.includes(layer) ? [] : [`this level has no layer '${layer}': ${layers.join(', ')}`]),
     ...(!shot || views.includes(shot) ? [] : [`there is no view '${shot}' to show here`]),
     ...(said.sunBy === 'time' && !isPlaced(level) ? ['there is no sun by time without a place on the earth'] : []),
   ];
