@@ -50,7 +50,7 @@ def write_product(
     """Write a product of a level by each of some requests, as rasters. Raises ``SkuggaError`` and ``OSError``."""
     product, suns = requests[0].record, [request.sun for request in requests]
     for name, value in overrides.items():
-        if value is not None and not product.needs:
+        if value is not None and product.when != "sun":
             said = spelt(value) if name == "algorithm" else value
             raise InputError(f"--{name.replace('_', '-')}", said, f"nothing: {product.name} has no shadows")
     paths = files_of(output, suns)
