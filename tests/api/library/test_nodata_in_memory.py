@@ -49,6 +49,7 @@ def test_sentinels_are_no_ground(height_m, sentinel):
     np.testing.assert_array_equal(skugga.shadow(marked, 30.0, 250.0, 12.0), skugga.shadow(height_m, 30.0, 250.0, 12.0))
 
 
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")  # catch_warnings is not for dask's threads
 @pytest.mark.parametrize("dtype", ["int16", "int32", "uint16", "float32", "float64"])
 @pytest.mark.parametrize("options", [{}, {"masked": True}, {"mask_and_scale": True}, {"parse_coordinates": False}, {"chunks": 50}])
 def test_the_nodata_of_a_file_is_none_of_its_ground(height_m, dtype, options, tmp_path):
