@@ -63,10 +63,6 @@ class PictureRequest(_Value):
     slope_exaggeration: SlopeExaggeration | None = None
     overrides: RequestedSettings = RequestedSettings()
 
-    def of_layer(self, layer: str) -> PictureRequest:
-        """The same for a layer: all but colours look alike in every style."""
-        return self if layer == "color" else self.model_copy(update={"style": None, "slope_exaggeration": None})
-
     def query(self, **more: str) -> str:
         """The same as a query string, with other parameters before it; empty where nothing is asked."""
         own = self.model_dump(mode="json", exclude_none=True, exclude={"overrides"})

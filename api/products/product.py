@@ -54,7 +54,7 @@ class ProductOptions(BaseModel):
     """Options of a product. A product with options derives from this model; each field becomes an option at every front end.
 
     A field's ``description`` and ``examples`` are its documentation. ``UNSERVED`` maps fields that HTTP does not take to the values
-    that it uses; options with such a value must not appear in a query.
+    that it uses instead. They never appear in a query.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
