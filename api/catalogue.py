@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from skugga.configs import LEVELS_FOLDER
-from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.errors import Problem, InputError
 from skugga.terrain.level.rasters import LEVEL_SUFFIXES, is_level_raster
 
 RASTER_SUFFIXES = ".tif", ".tiff", ".vrt", ".img", ".asc", ".hgt"
@@ -37,11 +37,11 @@ def find_level(name: str) -> Path:
     if path.is_dir():
         inside = sorted(each.name for each in path.iterdir() if each.suffix.lower() in (*LEVEL_SUFFIXES, *RASTER_SUFFIXES))
         raise InputError(
-            "LEVEL", Fault(f"{name} is a folder"), f"a level file or a raster{', as ' if inside else ''}{', '.join(inside[:3])}"
+            "LEVEL", Problem(f"{name} is a folder"), f"a level file or a raster{', as ' if inside else ''}{', '.join(inside[:3])}"
         )
     if path.suffix or path.name != name:
         raise InputError(
-            "LEVEL", Fault(f"there is no file {name}"), "a level file or a raster that is there, or a bundled level's name"
+            "LEVEL", Problem(f"there is no file {name}"), "a level file or a raster that is there, or a bundled level's name"
         )
     names = ", ".join(level.stem for level in bundled_levels())
     raise InputError("LEVEL", name, f"a level file, a raster, or one of the bundled levels: {names}")

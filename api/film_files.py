@@ -14,7 +14,7 @@ import numpy as np
 
 from skugga.api.animated_webp import add_frame, animation_frame, changes, write_head, write_length
 from skugga.api.png import encode_png
-from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.errors import Problem, InputError
 from skugga.terrain.whole_files import replaced_together, replaced_whole
 
 SEQUENCE_SUFFIX = ".png"
@@ -179,5 +179,7 @@ def _av() -> Any:
     try:
         import av
     except ImportError:
-        raise InputError("output", Fault("this machine has no encoder of .mp4"), "pip install 'skugga[film]', or a .webp") from None
+        raise InputError(
+            "output", Problem("this machine has no encoder of .mp4"), "pip install 'skugga[film]', or a .webp"
+        ) from None
     return av

@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 from math import floor
 
 from skugga.selector.film_request import MOST_FRAMES, FilmSpan
-from skugga.terrain.errors import MISSING_VALUE, Fault, InputError
+from skugga.terrain.errors import MISSING_VALUE, Problem, InputError
 from skugga.terrain.level.camera_file import CameraPathSpec
 from skugga.terrain.level.durations import DURATION_WORDS, parse_duration
 from skugga.terrain.level.parts import TIME_WORDS, time_of
@@ -62,7 +62,7 @@ def film_span(
     step_s = 1.0 / fps if step is None else _step_s(step)
     frames = floor(length_s / step_s + _SAME_FRAME) + 1
     if frames > most_frames:
-        raise InputError("step", Fault(f"{frames} frames, one every {step_s:g} s"), f"at most {most_frames} frames")
+        raise InputError("step", Problem(f"{frames} frames, one every {step_s:g} s"), f"at most {most_frames} frames")
     if isinstance(first, datetime):
         return FilmSpan(frames, step_s, first, first_second)
     if first_second is not None and start is not None:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skugga.terrain.errors import InputError, UnsupportedError, all_at_once
+from skugga.terrain.errors import InputError, UnsupportedError, combined_error
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_source import LevelSource
 from skugga.terrain.level.parts import SunSpec
@@ -112,4 +112,4 @@ def _read_all(scene: Scene) -> None:
         except InputError as error:
             wrong.append(error)
     if wrong:
-        raise all_at_once(wrong)
+        raise combined_error(wrong)

@@ -6,7 +6,7 @@ from skugga.api.errors import TooCostlyError
 from skugga.api.settings import load_settings
 from skugga.selector.formatting import format_list
 from skugga.shadows.plan import Plan
-from skugga.terrain.errors import Fault
+from skugga.terrain.errors import Problem
 from skugga.terrain.level.level import SUN
 
 NOTABLE_MS = 5000.0
@@ -41,7 +41,7 @@ def check_cost(plan: Plan, subject: str, most_ms: float | None, bound: str) -> N
     expected_ms = None if plan.predicted is None else plan.predicted.ms
     if most_ms is None or expected_ms is None or expected_ms <= most_ms:
         return
-    reason = Fault(f"{subject} by {plan.headline} is expected to take {expected_ms / 1000.0:.0f} s")
+    reason = Problem(f"{subject} by {plan.headline} is expected to take {expected_ms / 1000.0:.0f} s")
     cheaper = remedy(plan)
     raise TooCostlyError(
         "size", reason, f"pictures of at most {most_ms / 1000.0:g} s ({bound})" + (f"; {cheaper}" if cheaper else "")

@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from skugga.terrain.cores import usable_cores
-from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.errors import Problem, InputError
 from skugga.terrain.gl.egl_devices import AUTO_DEVICE, read_setting
 
 MAX_DEFAULT_WORKERS = 4
@@ -163,5 +163,5 @@ def load_settings(**overrides: Any) -> Settings:
         field = str(detail["loc"][0])
         name = field if field in overrides else f"SKUGGA_{field.upper()}"
         allowed = detail["msg"].removeprefix("Input should be ")
-        value = Fault("not a value that it may have") if field in _SECRETS else detail["input"]
+        value = Problem("not a value that it may have") if field in _SECRETS else detail["input"]
         raise InputError(name, value, allowed[:1].lower() + allowed[1:]) from None

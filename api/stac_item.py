@@ -19,7 +19,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from skugga.api.raster_file import RasterCells
-from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.errors import Problem, InputError
 from skugga.terrain.level.level import parse_sun
 from skugga.terrain.level.parts import SunSpec
 
@@ -42,11 +42,11 @@ def read_stac_item(path: Path) -> StacItem:
     try:
         item = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise InputError("--stac", Fault(f"{path} is no JSON text ({error})"), "a STAC item") from None
+        raise InputError("--stac", Problem(f"{path} is no JSON text ({error})"), "a STAC item") from None
     if not isinstance(item, dict) or item.get("type") != "Feature" or not isinstance(item.get("properties"), dict):
         kind = item.get("type") if isinstance(item, dict) else None
         raise InputError(
-            "--stac", Fault(f"{path} is no STAC item" + (f" but a {kind}" if kind else "")), "JSON of the type Feature"
+            "--stac", Problem(f"{path} is no STAC item" + (f" but a {kind}" if kind else "")), "JSON of the type Feature"
         )
     return StacItem(_sun(path, item["properties"]), _finest(path, item))
 
@@ -70,7 +70,7 @@ def _sun(path: Path, properties: Mapping[str, Any]) -> SunSpec:
         assert start is not None and end is not None
         return SunSpec(time=start + (end - start) / 2)
     raise InputError(
-        "--stac", Fault(f"{path} says neither when it was nor where the sun stood"),
+        "--stac", Problem(f"{path} says neither when it was nor where the sun stood"),
         f"an item with datetime, with start_datetime and end_datetime, or with {' and '.join(SUN_FIELDS)}",
     )  # fmt: skip
 

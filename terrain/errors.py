@@ -1,7 +1,7 @@
-"""Domain errors. Everything below ``api`` raises these; ``skugga.api.errors`` alone knows status codes and exit codes.
+"""Domain errors. All layers below ``api`` raise these; ``skugga.api.errors`` alone knows HTTP statuses and exit statuses.
 
 SkuggaError
-├── InputError            what the caller gave is wrong: names the file or parameter, the value and what is allowed
+├── InputError            the caller's input is wrong: names the file or parameter, the value and the allowed values
 │   ├── LevelError        a level file
 │   ├── SourceError       a raster
 │   ├── ArrayError        an array, which is a ``ValueError``, too
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Self, TypeVar
 
 InputErrorT = TypeVar("InputErrorT", bound="InputError")
 
@@ -27,34 +27,42 @@ _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\
 
 
 class SkuggaError(Exception):
-    """Base of all errors that Skugga raises on purpose; the message is a line for a person, or one for each error of a file."""
+    """Base of all errors that Skugga raises on purpose. The message is one line, or one line for each error of a file."""
 
 
-MOST_LINES = 100
-"""Errors of one input that are told."""
+MAX_ERRORS = 100
+"""How many errors of one input a message lists."""
+
+CONFLICT_REMEDY = "Use one of them"
 
 
-class Fault(str):
-    """What is wrong with an input, in words, where that is no value that was given: ``unknown key``."""
+class Problem(str):
+    """What is wrong with an input, in words, where no given value is wrong by itself: ``unknown key``."""
 
 
-MISSING_VALUE = Fault("missing")
-"""What is wrong where nothing was given."""
+MISSING_VALUE = Problem("missing")
 
 
 class InputError(SkuggaError):
     """The caller's input is wrong.
+
+    The constructor makes the message of a value that is not allowed, or of a ``Problem``. The class methods make the other kinds:
+    ``missing``, ``conflict`` and ``over_limit``. Engine errors name parameters (``least_altitude``); front ends name them as
+    their users write them (``renamed``).
 
     Parameters
     ----------
     name
         The file, key or parameter that is wrong.
     value
-        What was given, or a ``Fault``.
+        The value that was given, or a ``Problem``.
     allowed
-        What would be right, as a phrase.
+        The allowed values as a phrase; after a ``Problem`` the remedy as a sentence without its full stop.
 
-    ``others`` are further errors of the same input (``all_at_once``); the message has a line for each.
+    Attributes
+    ----------
+    others
+        Further errors of the same input (``combined_error``); the message has a line for each.
     """
 
     others: tuple[InputError, ...] = ()
@@ -63,8 +71,27 @@ class InputError(SkuggaError):
         self.name = name
         self.value = value
         self.allowed = allowed
-        fault = value if isinstance(value, Fault) else f"{_short(value)} is not allowed"
-        super().__init__(printable(f"{name}: {fault}; allowed: {allowed}"))
+        problem = f"{value}. {allowed}" if isinstance(value, Problem) else f"{_short(value)} is not allowed. Allowed: {allowed}"
+        super().__init__(_line(name, problem))
+
+    @classmethod
+    def missing(cls, name: str, remedy: str) -> Self:
+        """Return the error of a value that has to be given."""
+        return cls(name, MISSING_VALUE, remedy)
+
+    @classmethod
+    def conflict(cls, name: str, other: str, remedy: str = CONFLICT_REMEDY) -> Self:
+        """Return the error of two parameters that exclude each other."""
+        return cls(name, Problem(f"cannot be combined with {other}"), remedy)
+
+    @classmethod
+    def over_limit(cls, name: str, given: str, limit: str, remedy: str) -> Self:
+        """Return the error of an amount, with its unit in words, over a limit."""
+        return cls(name, Problem(f"{given}, more than the limit of {limit}"), remedy)
+
+    def renamed(self, name: str) -> Self:
+        """Return the same error of a parameter by another name."""
+        return type(self)(name, self.value, self.allowed)
 
 
 class LevelError(InputError):
@@ -72,11 +99,20 @@ class LevelError(InputError):
 
 
 class SourceError(InputError):
-    """A raster cannot be used, or a part of it cannot be read."""
+    """A raster cannot be used, or a part of it cannot be read.
+
+    Parameters
+    ----------
+    name
+        The file.
+    value
+        What is wrong with it, in words.
+    allowed
+        The remedy as a sentence without its full stop.
+    """
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
-        super().__init__(name, value, allowed)
-        self.args = (printable(f"{name}: {_short(value)}; needed: {allowed}"),)
+        super().__init__(name, Problem(value), allowed)
 
 
 class ArrayError(InputError, ValueError):
@@ -84,28 +120,38 @@ class ArrayError(InputError, ValueError):
 
 
 class UnsupportedError(InputError):
-    """A combination of level, view and algorithm that cannot be served."""
+    """A combination of level, view and algorithm that the engine does not support.
 
-    def __init__(self, name: str, value: object, reason: str) -> None:
-        super().__init__(name, value, reason)
-        self.args = (printable(f"{name}: {_short(value)} cannot be served: {reason}"),)
+    Parameters
+    ----------
+    name
+        The parameter.
+    value
+        Its value.
+    allowed
+        The reason as a clause.
+    """
+
+    def __init__(self, name: str, value: object, allowed: str) -> None:
+        super().__init__(name, value, allowed)
+        self.args = (_line(name, f"{_short(value)} is not supported here: {allowed}"),)
 
 
-def all_at_once(errors: Sequence[InputErrorT]) -> InputErrorT:
-    """Some errors, at least one, as the first of them, whose message has a line for each."""
-    first, *others = errors[:MOST_LINES]
+def combined_error(errors: Sequence[InputErrorT]) -> InputErrorT:
+    """Return the first of some errors (at least one), with a message that lists them all, a line each."""
+    first, *others = errors[:MAX_ERRORS]
     first.others = tuple(others)
-    further = [f"{len(errors) - MOST_LINES} more are wrong"] if len(errors) > MOST_LINES else []
+    further = [f"{len(errors) - MAX_ERRORS} more are wrong"] if len(errors) > MAX_ERRORS else []
     first.args = ("\n".join([*map(str, (first, *others)), *further]),)
     return first
 
 
 class NotFoundError(SkuggaError):
-    """There is no such level, tile matrix set, tile or view."""
+    """The level, tile matrix set, tile or view does not exist."""
 
 
 class BusyError(SkuggaError):
-    """The render queue is full; the caller may try again soon."""
+    """The render queue is full. The caller may try again soon."""
 
 
 class RenderError(SkuggaError):
@@ -113,22 +159,27 @@ class RenderError(SkuggaError):
 
 
 class GraphicsError(RenderError):
-    """OpenGL is broken, or an error was left behind by a call."""
+    """OpenGL is broken, or a call left an error behind."""
 
 
 class NoOpenGLError(GraphicsError):
-    """This machine has no OpenGL: what needs it cannot be drawn, all else can."""
+    """This machine has no OpenGL. Pictures that need it cannot be drawn; all others can."""
 
 
 class RenderTimeoutError(RenderError):
-    """A render took longer than the settings allow and was ended."""
+    """A render took longer than the settings allow."""
 
 
 def printable(text: str) -> str:
-    """A text with control characters, turns of the writing direction and lone surrogates as escapes: one line, which a terminal
-    shows and does not obey, and which can be encoded.
+    """Return a text on one line that a terminal shows and does not obey.
+
+    Control characters, changes of the writing direction and lone surrogates become escapes.
     """
-    return _UNPRINTABLE.sub(lambda found: ascii(found[0])[1:-1], text)
+    return _UNPRINTABLE.sub(lambda match: ascii(match[0])[1:-1], text)
+
+
+def _line(name: str, problem: str) -> str:
+    return printable(f"{name}: {problem}" if problem.endswith((".", "?")) else f"{name}: {problem}.")
 
 
 def _short(value: object) -> str:

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from skugga.terrain.errors import Fault, LevelError
+from skugga.terrain.errors import Problem, LevelError
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.ground.ground_path import GroundPath, Standpoint, path_over_ground
@@ -156,7 +156,7 @@ def _refuse_meeting(position: Standpoint | GroundPath, target: Standpoint | Grou
     points = [end.points_earth_m(seconds) if isinstance(end, GroundPath) else end.point_earth_m for end in (position, target)]
     meet = np.linalg.norm(points[1] - points[0], axis=-1) < LEAST_WAY_M
     if meet.any():
-        fault = Fault(f"the light is where its target is at second {seconds[meet][0]:.6g}")
+        fault = Problem(f"the light is where its target is at second {seconds[meet][0]:.6g}")
         raise LevelError(name, fault, f"positions {LEAST_WAY_M} m from the target at least")
 
 

@@ -22,7 +22,7 @@ from skugga.api.exhaustion import exhausted_error, in_thread
 from skugga.api.settings import Settings
 from skugga.api.workers.admission import retry_after_s
 from skugga.terrain.cache import Cache, Missing
-from skugga.terrain.errors import BusyError, Fault, InputError, RenderError, SkuggaError
+from skugga.terrain.errors import BusyError, Problem, InputError, RenderError, SkuggaError
 
 ID_BYTES = 16
 """Of the random number that is an animation's name: nobody guesses one of 2**128."""
@@ -207,7 +207,7 @@ class Animations:
             return film
         film.close()
         allowed = f"films of at most {self._settings.animation_bytes} bytes (the service's SKUGGA_ANIMATION_BYTES)"
-        raise InputError("size", Fault(f"a film of {film.nbytes} bytes"), f"{allowed}: of fewer or smaller frames, or in mp4")
+        raise InputError("size", Problem(f"a film of {film.nbytes} bytes"), f"{allowed}: of fewer or smaller frames, or in mp4")
 
     def _fail(self, animation: Animation, error: SkuggaError) -> None:
         log.warning("animation %s of level %s failed: %s", animation.id, animation.order.level.path.stem, error)

@@ -21,7 +21,7 @@ from skugga.api.products.product import Product
 from skugga.api.request import PictureRequest, ProductRequest, RequestedSettings
 from skugga.api.shown_parameters import FunctionT, takes_parameters, takes_settings
 from skugga.api.workers.jobs import ServedPolicy
-from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.errors import Problem, InputError
 from skugga.terrain.level.algorithm_names import served_algorithms
 from skugga.terrain.level.level import parse_algorithm
 from skugga.terrain.level.parts import StyleName, SunSpec
@@ -45,10 +45,10 @@ def allow_only(*names: str) -> Callable[[Request], Awaitable[None]]:
         items = request.query_params.multi_items()
         for name, value in items:
             if name not in names:
-                fault = Fault(f"unknown parameter (given: '{value[:80]}')")
+                fault = Problem(f"unknown parameter (given: '{value[:80]}')")
                 raise InputError(name, fault, ", ".join(names) or "no parameters")
             if sum(name == other for other, _ in items) > 1:
-                raise InputError(name, Fault("given more than once"), "one value")
+                raise InputError(name, Problem("given more than once"), "one value")
 
     return refuse
 

@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from skugga.terrain.errors import Fault, InputError, SkuggaError
+from skugga.terrain.errors import Problem, InputError, SkuggaError
 from skugga.terrain.geo.clock import date_of
 from skugga.terrain.level.level import Shadows
 from skugga.terrain.level.parts import TIME_WORDS
@@ -93,7 +93,7 @@ def _check_shadows(signature: inspect.Signature, keys: dict[str, Any]) -> None:
     for key in keys:
         if key not in Shadows.model_fields:
             own = [each.name for each in signature.parameters.values() if each.name not in ("self", SHADOWS)]
-            raise InputError(key, Fault("unknown parameter"), ", ".join((*own, *Shadows.model_fields)))
+            raise InputError(key, Problem("unknown parameter"), ", ".join((*own, *Shadows.model_fields)))
 
 
 def _moment(value: Any) -> str:

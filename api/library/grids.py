@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pydantic import PlainValidator
 
 from skugga.api.library.memory import check_memory
-from skugga.terrain.errors import ArrayError, Fault
+from skugga.terrain.errors import ArrayError, Problem
 
 MAX_HEIGHT_M = 1e6
 """As in engineering CRSs: what lies beyond is an unmarked sentinel, as -3.4e38."""
@@ -44,16 +44,16 @@ def grid_of_heights(values: Any, name: str = "height_m", least: int = 1, bytes_a
     try:
         array = np.ma.asanyarray(values) if np.ma.isMaskedArray(values) else np.asarray(values)
     except Exception as error:  # what an object raises that cannot be an array
-        raise ArrayError(name, Fault(f"{type(values).__name__}, {error}"), "an array of heights (rows, cols)") from None
+        raise ArrayError(name, Problem(f"{type(values).__name__}, {error}"), "an array of heights (rows, cols)") from None
     if array.dtype.kind == "O":
         try:
             array = array.astype(np.float64)
         except (TypeError, ValueError, OverflowError):
             pass
     if array.ndim != 2 or min(array.shape) < least:
-        raise ArrayError(name, Fault(f"an array of the shape {array.shape}"), f"(rows, cols), at least {least} x {least}")
+        raise ArrayError(name, Problem(f"an array of the shape {array.shape}"), f"(rows, cols), at least {least} x {least}")
     if array.dtype.kind not in "biuf":
-        raise ArrayError(name, Fault(f"an array of the type {array.dtype}"), "real numbers, metres")
+        raise ArrayError(name, Problem(f"an array of the type {array.dtype}"), "real numbers, metres")
     mask = np.ma.getmask(array)
     with np.errstate(over="ignore"):  # more than float32 holds is no height
         heights = np.ma.getdata(array).astype(np.float32, copy=mask is not np.ma.nomask)

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.errors import Problem, InputError
 
 MEMINFO = Path("/proc/meminfo")
 CGROUPS = (
@@ -43,7 +43,7 @@ def check_memory(name: str, rows: int, cols: int, bytes_a_cell: float, remedy: s
     needed, free = rows * cols * bytes_a_cell, free_bytes()
     if free is not None and needed > free:
         fault = f"{rows} x {cols} cells take {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are free"
-        raise InputError(name, Fault(fault), remedy)
+        raise InputError(name, Problem(fault), remedy)
 
 
 def _free() -> Iterator[int]:

@@ -51,7 +51,7 @@ from skugga.selector.film import film_frames, frame_moments
 from skugga.selector.film_request import FilmRequest
 from skugga.selector.replanning import Replanner
 from skugga.shadows.point.horizon import PointHorizon, horizon_round
-from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.errors import Problem, InputError
 from skugga.terrain.level.camera_file import load_camera_path
 from skugga.terrain.level.level import Shadows, load_level, parse_sun
 from skugga.terrain.level.level_source import LevelSource, direction_named, units_named
@@ -83,7 +83,7 @@ class OpenLevel:
     @property
     def _scene(self) -> Scene:
         if self._open is None:
-            raise InputError("level", Fault("it is closed"), "a level that is open")
+            raise InputError("level", Problem("it is closed"), "a level that is open")
         return self._open
 
     @property

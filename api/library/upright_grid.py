@@ -17,7 +17,7 @@ from rioxarray.exceptions import RioXarrayError
 from skugga.api.library.grids import GRID_BYTES, grid_of_heights
 from skugga.api.library.memory import check_memory
 from skugga.api.library.opened_level import OpenLevel, level_of_heights
-from skugga.terrain.errors import ArrayError, Fault, InputError, SourceError
+from skugga.terrain.errors import ArrayError, Problem, InputError, SourceError
 from skugga.terrain.ground.vertical import VerticalAxis, axis_of_band
 from skugga.terrain.level.parts import METRES_PER_UNIT
 
@@ -57,15 +57,15 @@ def upright_grid(array: xarray.DataArray) -> UprightGrid:
         Where it does not say where it lies, or its cells are not even.
     """
     if array.ndim != 2:
-        raise ArrayError(ARRAY, Fault(f"the dimensions {array.dims}"), "two, y and x: da.squeeze(), da.isel(...) leave them")
+        raise ArrayError(ARRAY, Problem(f"the dimensions {array.dims}"), "two, y and x: da.squeeze(), da.isel(...) leave them")
     if array.dtype.kind not in "biuf" or min(array.shape) < 1:
-        raise ArrayError(ARRAY, Fault(f"{array.shape} of the type {array.dtype}"), "real numbers, at least 1 x 1")
+        raise ArrayError(ARRAY, Problem(f"{array.shape} of the type {array.dtype}"), "real numbers, at least 1 x 1")
     try:
         y_dim, x_dim = array.rio.y_dim, array.rio.x_dim
     except RioXarrayError:
         raise ArrayError(
             ARRAY,
-            Fault(f"the dimensions {array.dims}"),
+            Problem(f"the dimensions {array.dims}"),
             "y and x: da.rename(...) or da.rio.set_spatial_dims(...) names them",
         ) from None
     array = array.transpose(y_dim, x_dim)
@@ -112,11 +112,11 @@ def _crs(array: xarray.DataArray) -> CRS:
     try:
         found = None if array.rio.crs is None else CRS.from_user_input(array.rio.crs.to_wkt())
     except (CRSError, RasterioError, ValueError):
-        raise InputError("crs", Fault(f"{ARRAY} has a CRS that PROJ does not know"), "one by da.rio.write_crs(...)") from None
+        raise InputError("crs", Problem(f"{ARRAY} has a CRS that PROJ does not know"), "one by da.rio.write_crs(...)") from None
     if found is None:
-        raise InputError("crs", Fault(f"{ARRAY} has none"), "an array with a CRS: da.rio.write_crs(...)")
+        raise InputError("crs", Problem(f"{ARRAY} has none"), "an array with a CRS: da.rio.write_crs(...)")
     if found.type_name == "Vertical CRS":  # GDAL's GeoTIFFs make a flat world of it
-        raise InputError("crs", Fault(f"{ARRAY} has {found.name}, of heights alone"), "one with x and y: da.rio.write_crs(...)")
+        raise InputError("crs", Problem(f"{ARRAY} has {found.name}, of heights alone"), "one with x and y: da.rio.write_crs(...)")
     return found
 
 
@@ -127,10 +127,10 @@ def _stated(array: xarray.DataArray) -> Affine:
     except (TypeError, ValueError, RioXarrayError):  # of coordinates that are no numbers
         stated = Affine.identity()
     if np.isfinite(tuple(stated)).all() and (stated.b or stated.d):
-        raise InputError(ARRAY, Fault("a turned grid"), "rows from west to east; da.rio.reproject(da.rio.crs) makes them")
+        raise InputError(ARRAY, Problem("a turned grid"), "rows from west to east; da.rio.reproject(da.rio.crs) makes them")
     if stated.is_identity and any(dim not in array.coords or array.sizes[dim] < 2 for dim in array.dims):
         raise InputError(
-            ARRAY, Fault("its cells have no place"), "coordinates y and x; or a geotransform by da.rio.write_transform(...)"
+            ARRAY, Problem("its cells have no place"), "coordinates y and x; or a geotransform by da.rio.write_transform(...)"
         )
     return stated
 
@@ -148,10 +148,10 @@ def _even(array: xarray.DataArray, dim: Any, start: float, step: float, is_flipp
         return start, step
     name, at = f"{ARRAY}: {dim}", array[dim].to_numpy()
     if at.dtype.kind not in "iuf" or not np.isfinite(at).all():
-        raise InputError(name, Fault(f"coordinates of the type {at.dtype}, not all finite"), "numbers in units of the CRS")
+        raise InputError(name, Problem(f"coordinates of the type {at.dtype}, not all finite"), "numbers in units of the CRS")
     at = at.astype(np.float64)
     if at.size > 1:
         step = float(at[-1] - at[0]) / (at.size - 1)
         if step == 0.0 or np.abs(at - (at[0] + step * np.arange(at.size))).max() > MAX_UNEVEN_CELLS * abs(step):
-            raise InputError(name, Fault("uneven steps"), "coordinates in even steps, as da.interp(...) makes them")
+            raise InputError(name, Problem("uneven steps"), "coordinates in even steps, as da.interp(...) makes them")
     return float(at[0]) - step / 2.0, step

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from skugga.shadows.passes import PassLayer
 from skugga.shadows.picture import Needs
-from skugga.terrain.errors import MISSING_VALUE, Fault, InputError
+from skugga.terrain.errors import MISSING_VALUE, Problem, InputError
 
 if TYPE_CHECKING:
     from skugga.api.color_scale import ColorScale
@@ -273,7 +273,7 @@ class Product:
                 raise InputError(name, MISSING_VALUE, f"{about.rstrip('.')}, for {self.name}") from None
             if first["type"] == "extra_forbidden":
                 raise InputError(
-                    name, Fault(f"{self.name} has no such option"), ", ".join(self.options.model_fields) or "none"
+                    name, Problem(f"{self.name} has no such option"), ", ".join(self.options.model_fields) or "none"
                 ) from None
             allowed = ALLOWED.get(first["type"], first["msg"].removeprefix("Input should be "))
             raise InputError(name, first["input"], allowed) from None

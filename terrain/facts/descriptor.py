@@ -136,7 +136,7 @@ def _once(key: str, names: list[str], allowed: tuple[str, ...] | None) -> None:
         if allowed is not None and name not in allowed:
             allowed_names = ", ".join(allowed) or "nothing"
             raise PydanticCustomError(
-                "unknown", "{key}: '{name}' is not allowed; allowed: {what}", {"key": key, "name": name, "what": allowed_names}
+                "unknown", "{key}: '{name}' is not allowed. Allowed: {what}", {"key": key, "name": name, "what": allowed_names}
             )
 
 

@@ -8,7 +8,7 @@ from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
 from typing import Literal
 from zoneinfo import ZoneInfo, available_timezones
 
-from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.errors import Problem, InputError
 
 Clock = tzinfo | Literal["solar"]
 """A zone, or true solar time, at whose noon the sun stands in the meridian."""
@@ -99,4 +99,4 @@ def date_of(name: str, text: str) -> date:
     try:
         return date.fromisoformat(text.strip())
     except ValueError:
-        raise InputError(name, Fault(f"'{text}' is no date"), "a date of the calendar, as 2024-03-21") from None
+        raise InputError(name, Problem(f"'{text}' is no date"), "a date of the calendar, as 2024-03-21") from None

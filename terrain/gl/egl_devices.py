@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from skugga.terrain.errors import Fault, GraphicsError, InputError, NoOpenGLError
+from skugga.terrain.errors import Problem, GraphicsError, InputError, NoOpenGLError
 
 if TYPE_CHECKING:
     import moderngl
@@ -172,7 +172,7 @@ def _in_turn(cards: list[EglDevice], turn: int, probe: DeviceProbe) -> list[EglD
 
 def _no_such_device(value: str, devices: Sequence[EglDevice]) -> InputError:
     there = ", ".join(map(str, devices))
-    return InputError(EGL_DEVICE, Fault(f"'{value}' names a device that is not there"), f"{EGL_DEVICE_VALUES}; there are {there}")
+    return InputError(EGL_DEVICE, Problem(f"'{value}' names a device that is not there"), f"{EGL_DEVICE_VALUES}; there are {there}")
 
 
 def open_context() -> tuple[moderngl.Context, EglDevice]:

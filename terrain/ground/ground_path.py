@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.terrain.errors import Fault, LevelError
+from skugga.terrain.errors import Problem, LevelError
 from skugga.terrain.geo.keyed_curve import KeyedCurve
 from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.level.motion import Above
@@ -70,14 +70,14 @@ class GroundPath:
         _, _, height_m, ground_m = self._at(seconds)
         if not np.isfinite(ground_m).all():
             off = seconds[~np.isfinite(ground_m)][0]
-            raise LevelError(name, Fault(f"leaves the terrain at second {off:.6g}"), "a path over the terrain all the way")
+            raise LevelError(name, Problem(f"leaves the terrain at second {off:.6g}"), "a path over the terrain all the way")
         under = height_m < ground_m - UNDER_GROUND_M
         if under.any() and not may_be_under_ground:
             first = int(np.argmax(under))
             fault = (
                 f"at {height_m[first]:.2f} m at second {seconds[first]:.6g}, under the ground, which is at {ground_m[first]:.2f} m"
             )
-            raise LevelError(name, Fault(fault), "a path above the ground all the way")
+            raise LevelError(name, Problem(fault), "a path above the ground all the way")
 
     def seconds_along(self) -> np.ndarray:
         """Seconds (n,) of places half a cell apart, about, from key to key; farther where they would be too many."""

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 from ruamel.yaml.error import YAMLError
 
-from skugga.terrain.errors import Fault, LevelError
+from skugga.terrain.errors import Problem, LevelError
 from skugga.terrain.level.data_files import special_kind
 from skugga.terrain.level.durations import parse_duration
 from skugga.terrain.level.level_errors import level_error
@@ -121,23 +121,23 @@ class CameraPathSpec(Model):
 def load_camera_path(path: Path) -> CameraPathSpec:
     """Read and check a camera file. Raises ``LevelError``, with a line for each key that is wrong."""
     if (kind := special_kind(path)) is not None:
-        raise LevelError(str(path), Fault(kind), _READABLE)
+        raise LevelError(str(path), Problem(kind), _READABLE)
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(MOST_FILE_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
-        raise LevelError(str(path), Fault(reason), _READABLE) from None
+        raise LevelError(str(path), Problem(reason), _READABLE) from None
     if len(text) > MOST_FILE_CHARACTERS:
-        raise LevelError(str(path), Fault(f"more than {MOST_FILE_CHARACTERS} characters"), _READABLE)
+        raise LevelError(str(path), Problem(f"more than {MOST_FILE_CHARACTERS} characters"), _READABLE)
     try:
         data = parse_level_text(text)
     except YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f"{path}: line {mark.line + 1}" if mark else str(path)
-        raise LevelError(where, Fault(getattr(error, "problem", None) or "broken YAML"), "well-formed YAML 1.2") from None
+        raise LevelError(where, Problem(getattr(error, "problem", None) or "broken YAML"), "well-formed YAML 1.2") from None
     except (ValueError, RecursionError) as error:  # a date that is none, brackets without end
-        raise LevelError(str(path), Fault(str(error)), "well-formed YAML 1.2") from None
+        raise LevelError(str(path), Problem(str(error)), "well-formed YAML 1.2") from None
     if not isinstance(data, dict):
         raise LevelError(str(path), data, "a mapping with the key 'keys'")
     try:

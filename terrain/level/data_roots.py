@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from skugga.terrain.errors import Fault, LevelError, SourceError
+from skugga.terrain.errors import Problem, LevelError, SourceError
 from skugga.terrain.level.linked_files import files_beside, is_remote
 from skugga.terrain.level.rasters import open_raster
 
@@ -52,7 +52,7 @@ class DataRoots:
         if not any(real == root or real.startswith(root.rstrip(os.sep) + os.sep) for root in self._roots):
             where = file if real == os.path.abspath(local) else f"{file}, which leads to {real}"
             raise LevelError(
-                str(level), Fault(f"{where} is in none of the folders of levels and data"),
+                str(level), Problem(f"{where} is in none of the folders of levels and data"),
                 f"{', '.join(self._roots)}; SKUGGA_DATA_ROOTS allows other folders",
             )  # fmt: skip
         if os.path.isdir(real):
@@ -77,7 +77,7 @@ class DataRoots:
         while waiting:
             for file in _opened_with(waiting.pop()):
                 if not is_remote(file) and not os.path.lexists(file):
-                    raise LevelError(str(loaded.path), Fault(f"leads to {file}, which is no file"), "rasters that are files")
+                    raise LevelError(str(loaded.path), Problem(f"leads to {file}, which is no file"), "rasters that are files")
                 self.check_path(loaded.path, file)
                 if file not in known:
                     known[file] = None

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 from pydantic_core import InitErrorDetails, PydanticCustomError
 from ruamel.yaml.error import YAMLError
 
-from skugga.terrain.errors import Fault, InputError, LevelError, printable
+from skugga.terrain.errors import Problem, InputError, LevelError, printable
 from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
 from skugga.terrain.level.data_files import special_kind
 from skugga.terrain.level.data_roots import DataRoots
@@ -385,7 +385,7 @@ def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
     except ValidationError as error:
         details = error.errors()
         if details[0]["type"] == UNKNOWN_KEY:
-            raise InputError(details[0]["ctx"]["key"], Fault("unknown"), details[0]["ctx"]["known"]) from None
+            raise InputError(details[0]["ctx"]["key"], Problem("unknown"), details[0]["ctx"]["known"]) from None
         name = str(details[0]["loc"][0]) if details[0]["loc"] else "shadows"
         messages = (detail["msg"].removeprefix("Input should be ") for detail in details if detail["loc"][:1] == (name,))
         allowed = " or ".join(dict.fromkeys(messages))
@@ -463,7 +463,7 @@ def _loaded(source: LevelSource) -> LoadedLevel:
             f"a raster's own level; the level file {path} says it itself, as {KEYS_OF_OPTIONS[name]}",
         )
     if (kind := special_kind(path)) is not None:
-        raise LevelError(str(path), Fault(kind), "a readable YAML file, or a raster that GDAL reads")
+        raise LevelError(str(path), Problem(kind), "a readable YAML file, or a raster that GDAL reads")
     try:
         with path.open(encoding="utf-8") as level_file:
             text = level_file.read(MOST_CHARACTERS + 1)
@@ -472,13 +472,13 @@ def _loaded(source: LevelSource) -> LoadedLevel:
         raise LevelError(str(path), reason, "a readable YAML file, or a raster that GDAL reads") from None
     if len(text) > MOST_CHARACTERS:
         raise LevelError(
-            str(path), Fault(f"more than {MOST_CHARACTERS} characters"), "a readable YAML file, or a raster that GDAL reads"
+            str(path), Problem(f"more than {MOST_CHARACTERS} characters"), "a readable YAML file, or a raster that GDAL reads"
         )
     try:
         data = parse_level_text(text)
     except (ValueError, RecursionError, YAMLError) as error:  # also of a date that is none, brackets without end
         if path.suffix.lower() not in TEXT_SUFFIXES:
-            raise LevelError(str(path), Fault(_NEITHER), _EITHER) from None
+            raise LevelError(str(path), Problem(_NEITHER), _EITHER) from None
         if not isinstance(error, YAMLError):
             raise LevelError(str(path), str(error), "well-formed YAML 1.2") from None
         mark = getattr(error, "problem_mark", None)
@@ -486,7 +486,7 @@ def _loaded(source: LevelSource) -> LoadedLevel:
         raise LevelError(where, getattr(error, "problem", None) or "broken YAML", "well-formed YAML 1.2") from None
     if not isinstance(data, dict):
         if path.suffix.lower() not in TEXT_SUFFIXES:
-            raise LevelError(str(path), Fault(_NEITHER), _EITHER)
+            raise LevelError(str(path), Problem(_NEITHER), _EITHER)
         raise LevelError(str(path), data, "a mapping that starts with 'version: 1'")
     try:
         level = Level.model_validate(data)

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic_core import ErrorDetails
 
-from skugga.terrain.errors import MISSING_VALUE, Fault, LevelError, all_at_once
+from skugga.terrain.errors import MISSING_VALUE, Problem, LevelError, combined_error
 
 MOST_ERRORS = 1000
 """Of pydantic's that are looked at, each beside each."""
@@ -36,7 +36,7 @@ def level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
     for error in _of_meant_branches(data, errors):
         of_keys.setdefault(_keys(data, error), []).append(error)
     deepest = [keys for keys in of_keys if not any(other[: len(keys)] == keys for other in of_keys if other != keys)]
-    return all_at_once([_of_key(path, keys, of_keys[keys]) for keys in deepest])
+    return combined_error([_of_key(path, keys, of_keys[keys]) for keys in deepest])
 
 
 def _of_meant_branches(data: Any, errors: list[ErrorDetails]) -> list[ErrorDetails]:
@@ -72,7 +72,7 @@ def _of_key(path: str, keys: _Keys, errors: list[ErrorDetails]) -> LevelError:
     if first["type"] == UNKNOWN_KEY:
         known = first["ctx"]["known"]
         near = get_close_matches(keys[-1], known.split(", "), 1)
-        return LevelError(where, Fault(f"unknown key, did you mean '{near[0]}'?" if near else "unknown key"), known)
+        return LevelError(where, Problem(f"unknown key, did you mean '{near[0]}'?" if near else "unknown key"), known)
     if last["type"] == "missing" and isinstance(items := last["loc"][-1], int):  # a list that is too short
         return LevelError(where, last["input"], f"{items + 1} items")
     if first["type"] == "missing":

@@ -172,7 +172,7 @@ def test_a_crs_without_a_transformation_is_refused(tmp_path):
     with pytest.raises(ProjError):
         Transformer.from_crs("EPSG:3052", "OGC:CRS84", always_xy=True)
     scene = opened(raster)
-    with pytest.raises(InputError, match="crs: 'EPSG:3052' is not allowed; allowed: a CRS that PROJ can transform"):
+    with pytest.raises(InputError, match="crs: 'EPSG:3052' is not allowed. Allowed: a CRS that PROJ can transform"):
         scene.check_crs("crs", CRS.from_user_input("EPSG:3052"), "EPSG:3052")
     other = write_geotiff(tmp_path / "own.tif", plain_with_tower(), "EPSG:3052", 4e5, 7.1e6, 10.0)
     with pytest.raises(SourceError, match="needed: a CRS that PROJ can transform into longitude and latitude"):
@@ -246,7 +246,7 @@ def test_another_body_has_no_sun_of_a_time(tmp_path, code):
     with pytest.raises(InputError, match=r"date: .*is not a CRS of the earth"):
         windows_asked(scene.world, DAY, DAY, 1, readings_of("00:00-24:00"), clock_named("clock", "utc"))
     for other in ("EPSG:4326", "EPSG:3857"):
-        with pytest.raises(InputError, match=f"crs: '{other}' is not allowed; allowed: a CRS that PROJ can transform"):
+        with pytest.raises(InputError, match=f"crs: '{other}' is not allowed. Allowed: a CRS that PROJ can transform"):
             scene.view("map", crs=other)
 
 

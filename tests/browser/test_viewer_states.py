@@ -49,7 +49,7 @@ def test_a_tile_that_fails(viewer: Viewer):
 def test_error_of_any_length_stays_in_its_box(make_viewer: Callable[..., Viewer], window: dict[str, Any]):
     viewer = make_viewer(**window)
     viewer.forgiven = re.compile("422")
-    detail = f"source: '{'folder/' * 30}{'heights' * 20}.tif' is not allowed; allowed: {'a_word_without_a_break' * 9}"
+    detail = f"source: '{'folder/' * 30}{'heights' * 20}.tif' is not allowed. Allowed: {'a_word_without_a_break' * 9}"
     viewer.page.route(re.compile("/tiles/"), lambda route: route.fulfill(status=422, json={"detail": detail}))
     viewer.page.goto(viewer.address)
     box = viewer.page.locator("#status.failed")

@@ -153,7 +153,7 @@ def test_keys_off_the_data_are_named(floor, keys, name, allowed):
 def test_a_way_off_the_data_or_under_the_ground_is_refused_where_it_is(floor, hills):
     under = path_of(floor, ("0s", (0, 0, 5), (9, 9, 0)), ("1s", (50, 0, -5), (9, 9, 0)))
     assert under.view_at(0.49, ROWS, COLS)
-    with pytest.raises(InputError, match="eye: '-3.44 m above the ground' is not allowed; allowed: more than 0 m"):
+    with pytest.raises(InputError, match="eye: '-3.44 m above the ground' is not allowed. Allowed: more than 0 m"):
         under.view_at(0.75, ROWS, COLS)
     # A bow that swings off the floor, although its keys lie on it.
     bow = path_of(

@@ -283,7 +283,7 @@ def test_a_searchlight_turns_to_what_it_lights(floor, make_scene):
     [
         (
             moving("omni", {"seconds": 0, "position": [0, 0, 5]}, {"seconds": 3, "position": [0, 400, 5]}),
-            "lights.lamp.motion.path.1.position: '(0.0, 400.0, 5.0)' is not allowed; allowed: a position on the terrain: within",
+            "lights.lamp.motion.path.1.position: '(0.0, 400.0, 5.0)' is not allowed. Allowed: a position on the terrain: within",
         ),
         (
             moving("omni", {"seconds": 0, "position": [0, 0, 5]}, {"seconds": 4, "position": [0, 40, -5]}),

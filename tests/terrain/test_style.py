@@ -240,7 +240,7 @@ def test_coarse_ground_is_no_city_unless_it_is_of_blocks(write_raster, make_scen
 @pytest.mark.parametrize(
     ("style", "message"),
     [
-        ("pretty", "style: .pretty. is not allowed; allowed: .*swiss"),
+        ("pretty", "style: .pretty. is not allowed. Allowed: .*swiss"),
         ({"name": "swiss", "ramp": []}, "heights rising"),
         ({"ramp": [[100, "#ffffff"], [0, "#000000"]]}, "heights rising"),
         ({"ramp": [[0, "white"]]}, "as '#b3c2a2'"),
@@ -256,7 +256,7 @@ def test_a_style_that_is_none_is_told(write_raster, make_scene, style, message):
 
 def test_a_requests_style_is_told_by_its_parameter(write_raster, make_scene):
     scene = plane(write_raster, make_scene, 0.1, 180.0, 30.0)
-    with pytest.raises(InputError, match="style: .pretty. is not allowed; allowed: .*swiss") as refused:
+    with pytest.raises(InputError, match="style: .pretty. is not allowed. Allowed: .*swiss") as refused:
         scene.with_style("pretty")
     assert "natural" in str(refused.value)
     with pytest.raises(InputError, match="slope_exaggeration"):

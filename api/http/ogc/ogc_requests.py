@@ -19,7 +19,7 @@ from skugga.api.http.state.service import service_of
 from skugga.api.products import MAP_PRODUCTS, PRODUCTS
 from skugga.api.products.product import MEDIA_TYPES, MapFormat, ProductOptions
 from skugga.api.request import ProductRequest
-from skugga.terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError
+from skugga.terrain.errors import MISSING_VALUE, Problem, InputError, SkuggaError
 from skugga.terrain.level.parts import SunSpec
 from skugga.terrain.style import STYLES
 
@@ -39,7 +39,7 @@ class KeyValues:
         self._values: dict[str, str] = {}
         for name, value in request.query_params.multi_items():
             if name.upper() in self._values:
-                raise InputError(name.upper(), Fault("given more than once"), "one value")
+                raise InputError(name.upper(), Problem("given more than once"), "one value")
             self._values[name.upper()] = value
 
     def get(self, name: str) -> str | None:

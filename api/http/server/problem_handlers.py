@@ -11,7 +11,7 @@ from starlette.routing import Match, Mount
 from skugga.api.http.answers import wants_page
 from skugga.api.http.problems import domain_problem, problem_of, problem_response
 from skugga.api.http.server.not_found import not_found_page
-from skugga.terrain.errors import MISSING_VALUE, Fault, InputError, SkuggaError, printable
+from skugga.terrain.errors import MISSING_VALUE, Problem, InputError, SkuggaError, printable
 from skugga.terrain.level.level_errors import UNKNOWN_KEY
 
 
@@ -68,14 +68,14 @@ def _first_wrong(error: RequestValidationError) -> InputError:
     where, *path = detail["loc"]
     name = ".".join(str(part) for part in path) or "body" if where == "body" else str(detail["loc"][-1])
     if detail["type"] == "json_invalid":
-        return InputError("body", Fault(f"not valid JSON at character {path[0]} ({detail['ctx']['error']})"), "JSON")
+        return InputError("body", Problem(f"not valid JSON at character {path[0]} ({detail['ctx']['error']})"), "JSON")
     if detail["type"] == "missing":
         return InputError(name, MISSING_VALUE, "a value: it is required")
     if where == "body" and isinstance(detail.get("input"), bytes):
-        return InputError("body", Fault("not sent as JSON"), "JSON, with Content-Type: application/json")
+        return InputError("body", Problem("not sent as JSON"), "JSON, with Content-Type: application/json")
     if detail["type"] == UNKNOWN_KEY:
         where = ".".join([*map(str, path), detail["ctx"]["key"]])
-        return InputError(where, Fault("unknown key"), detail["ctx"]["known"])
+        return InputError(where, Problem("unknown key"), detail["ctx"]["known"])
     if detail["type"] == "model_attributes_type":
         return InputError(name, detail.get("input"), "an object")
     allowed = detail["msg"].removeprefix("Input should be ")

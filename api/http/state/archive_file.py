@@ -24,7 +24,7 @@ from skugga.api.archive_format import ARCHIVED_MEDIA_TYPES, HEADER_BYTES, TILE_F
 from skugga.api.errors import ArchiveError
 from skugga.api.file_stamps import Stamp, file_stamps
 from skugga.terrain.cache import MIB, Cache, Missing
-from skugga.terrain.errors import Fault
+from skugga.terrain.errors import Problem
 
 DIRECTORY_DEPTH = 3
 """Directories under one another, the root among them: readers go no deeper."""
@@ -242,7 +242,7 @@ class ArchiveFile:
         return raw
 
     def _broken(self, fault: str) -> ArchiveError:
-        return ArchiveError(str(self.path), Fault(fault), WHOLE)
+        return ArchiveError(str(self.path), Problem(fault), WHOLE)
 
 
 def changed(archive: ArchiveFile | None, path: Path) -> bool:

@@ -16,7 +16,7 @@ from skugga.api.http.views.cameras import FURTHEST_UP_M, POSITION_WORDS
 from skugga.api.request import PictureRequest
 from skugga.api.settings import Settings
 from skugga.selector.film_request import ALONG_PATH, FilmSpan
-from skugga.terrain.errors import Fault, InputError
+from skugga.terrain.errors import Problem, InputError
 from skugga.terrain.geo.sun_path import as_utc, check_times
 from skugga.terrain.level.camera_file import CameraPathSpec
 from skugga.terrain.level.level import Shadows, parse_sun
@@ -119,7 +119,7 @@ def in_body(error: InputError, order: FilmOrder) -> InputError:
     if name.startswith("keys"):
         return type(error)(f"path.{error.name}", error.value, error.allowed)
     if name.startswith("path, "):
-        return type(error)("path", Fault(f"{name.removeprefix('path, ')}{colon}{of_frame}: {error.value}"), error.allowed)
+        return type(error)("path", Problem(f"{name.removeprefix('path, ')}{colon}{of_frame}: {error.value}"), error.allowed)
     if name == "time" and order.span.start is not None:
         return type(error)("from", error.value, error.allowed)
     return error
@@ -139,7 +139,7 @@ def _check_pixels(size: tuple[int, int], frames: int, settings: Settings) -> Non
         raise InputError("size", words, allowed)
     if frames * pixels > settings.max_animation_pixels:
         allowed = f"at most {settings.max_animation_pixels} pixels in all (the service's SKUGGA_MAX_ANIMATION_PIXELS)"
-        raise InputError("size", Fault(f"{frames} frames of {words}"), allowed)
+        raise InputError("size", Problem(f"{frames} frames of {words}"), allowed)
 
 
 def _resting_sun(asked: Any, span: FilmSpan) -> SunSpec | None:

@@ -124,8 +124,8 @@ def test_a_sun_and_a_camera_that_move_together(gl, run, folder):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ((*CLOCK, "-o", "film.gif"), "output: 'film.gif' is not allowed; allowed: a film: day.webp"),
-        ((*CLOCK, "--lossless", "-o", "film.mp4"), "--lossless: 'film.mp4' is not allowed; allowed: a film as .webp"),
+        ((*CLOCK, "-o", "film.gif"), "output: 'film.gif' is not allowed. Allowed: a film: day.webp"),
+        ((*CLOCK, "--lossless", "-o", "film.mp4"), "--lossless: 'film.mp4' is not allowed. Allowed: a film as .webp"),
         (("--lossless", "-o", "film.webp"), "from: missing"),
         ((*CLOCK, "-o", "film.png"), "a name with one number for 6 frames, as frames/%04d.png"),
         ((*CLOCK, "-o", "no/film.webp"), "no/film.webp: folder not found"),

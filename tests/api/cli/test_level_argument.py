@@ -154,7 +154,7 @@ def test_feet_that_nobody_has_named_are_asked_about_and_mended(gl, run, site):
     assert run("init", raster, "--units", "ft", "-o", str(site / "feet.yaml"))[::2] == (0, "")
     assert "\n  units: ft\n" in (site / "feet.yaml").read_text()
     status, _, err = run("shade", raster, "--units", "yards", "-o", str(site / "mask.tif"))
-    assert status == 2 and "--units: 'yards' is not allowed; allowed: m, ft, us-ft" in err
+    assert status == 2 and "--units: 'yards' is not allowed. Allowed: m, ft, us-ft" in err
 
 
 def test_validate_says_what_heights_are_taken_as(run, site):

@@ -82,5 +82,5 @@ def test_hor():
 
 def test_names_are_known():
     assert len(HORIZON_FORMATS) == 6
-    with pytest.raises(InputError, match="format: 'xyz' is not allowed; allowed: pvgis-csv, pvgis-json"):
+    with pytest.raises(InputError, match="format: 'xyz' is not allowed. Allowed: pvgis-csv, pvgis-json"):
         horizon_file("xyz", horizon(None), PLACE)

@@ -153,7 +153,7 @@ def test_no_ground_has_no_horizon_and_holes_hide_nothing(tmp_path, make_scene):
     scene = flat_world(tmp_path, make_scene, heights)
     found = relief_horizon(scene, place_at(scene, (0.0, 0.0)), np.array([0.0]))
     assert found.tangent[0] <= 1e-6
-    with pytest.raises(InputError, match="point: '1000,0' is not allowed; allowed: a place on the level's data"):
+    with pytest.raises(InputError, match="point: '1000,0' is not allowed. Allowed: a place on the level's data"):
         place_at(scene, (1000.0, 0.0))
     with pytest.raises(InputError, match="point"):
         place_at(scene, (35.0, 0.0))  # on the raster, in a hole

@@ -142,7 +142,7 @@ def figures(fault: str) -> dict[str, float]:
 
 
 def table() -> str:
-    """Fault by metric in Markdown; what differs from a picture without a fault is bold."""
+    """Problem by metric in Markdown; what differs from a picture without a fault is bold."""
     lines = ["| fault | " + " | ".join(f"`{name}`" for name in METRICS) + " |", "| --- |" + " ---: |" * len(METRICS)]
     clean = figures("none")
     for fault in FAULTS:

@@ -70,7 +70,7 @@ def test_places_are_told_apart_as_float32_does():
 
 @pytest.mark.parametrize("wrong", [-1, 3])
 def test_a_vertex_that_is_not_there_is_named(wrong: int):
-    with pytest.raises(InputError, match=rf"triangles: '{wrong}' is not allowed; allowed: vertex numbers below 3"):
+    with pytest.raises(InputError, match=rf"triangles: '{wrong}' is not allowed. Allowed: vertex numbers below 3"):
         edges_of(np.eye(3), np.array([[0, 1, wrong]]))
 
 

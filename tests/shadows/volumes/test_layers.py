@@ -185,7 +185,7 @@ def test_nothing_is_no_layer():
 
 def test_no_layers_at_all_are_too_few():
     vertices, triangles = plates(2)
-    with pytest.raises(InputError, match="most: '0' is not allowed; allowed: 1 or more"):
+    with pytest.raises(InputError, match="most: '0' is not allowed. Allowed: 1 or more"):
         batches(vertices, triangles, edges_of(vertices, triangles), np.ones(4, np.int8), OVERHEAD, 0)
 
 

@@ -285,9 +285,9 @@ def test_turns_by_rules_and_by_numbers():
 
 
 def test_what_is_wrong_is_named():
-    with pytest.raises(InputError, match="rule: 'both' is not allowed; allowed: facing or turned_away or all"):
+    with pytest.raises(InputError, match="rule: 'both' is not allowed. Allowed: facing or turned_away or all"):
         turns_of(np.ones(1, bool), "both")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="rule: '4' is not allowed; allowed: 0 to 3"):
+    with pytest.raises(InputError, match="rule: '4' is not allowed. Allowed: 0 to 3"):
         turns_of(np.ones(2, bool), np.array([1, 4]))
     for light in ([0.0, 0.0, 0.0, 0.0], [0.0, np.nan, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.5]):
         with pytest.raises(InputError, match="light"):

@@ -59,7 +59,7 @@ def test_settings(text, meaning):
 def test_settings_that_are_none(text):
     with pytest.raises(InputError) as error:
         read_setting(text)
-    assert str(error.value) == f"{EGL_DEVICE}: '{text}' is not allowed; allowed: {egl_devices.EGL_DEVICE_VALUES}"
+    assert str(error.value) == f"{EGL_DEVICE}: '{text}' is not allowed. Allowed: {egl_devices.EGL_DEVICE_VALUES}"
 
 
 @pytest.mark.parametrize(

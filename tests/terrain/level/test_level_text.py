@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ruamel.yaml.error import YAMLError
 
-from skugga.terrain.errors import InputError, LevelError, all_at_once, printable
+from skugga.terrain.errors import InputError, LevelError, combined_error, printable
 from skugga.terrain.level.level import load_level
 from skugga.terrain.level.level_text import DEEPEST, MOST_CHARACTERS, MOST_VALUES, parse_level_text
 
@@ -95,7 +95,7 @@ def test_a_level_is_a_regular_file(tmp_path, kind):
 
 def test_a_message_shows_values_and_names_without_what_commands_a_terminal():
     error = InputError("\x1b[31mname", "a\x9bvalue\u202e\ud800", "no \x07")
-    assert str(error) == "\\x1b[31mname: 'a\\x9bvalue\\u202e\\ud800' is not allowed; allowed: no \\x07"
+    assert str(error) == "\\x1b[31mname: 'a\\x9bvalue\\u202e\\ud800' is not allowed. Allowed: no \\x07"
 
 
 @given(st.text(st.characters(), max_size=30))
@@ -129,4 +129,4 @@ def test_of_thousands_of_errors_a_hundred_are_told(level):
 
 def test_all_of_a_few_errors_are_told():
     errors = [InputError(f"n{n}", n, "other") for n in range(100)]
-    assert len(str(all_at_once(errors)).split("\n")) == 100
+    assert len(str(combined_error(errors)).split("\n")) == 100
