@@ -1,1 +1,1 @@
-"""The ground: heights read or made, its surface in a frame, its decimation, its imagery, its horizons."""
+"""Ground: read or generate heights, build the surface in a frame, decimate it, drape imagery and compute the sky-view factor."""

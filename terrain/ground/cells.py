@@ -1,6 +1,6 @@
-"""The cells of a raster as they are: which one a place lies in.
+"""Look up the raster cell under a position, for ground that is drawn as blocks.
 
-A place on a border belongs to the highest of the cells that meet there: so no side of the compass is preferred.
+A position on the border of several cells belongs to the highest of them, so no compass direction is preferred.
 """
 
 from __future__ import annotations
@@ -10,12 +10,15 @@ import numpy as np
 from skugga.terrain.compiled import compiled, internal
 
 ON_BORDER = 1e-6
-"""How near to a border of cells, in cells, a place lies on it."""
+"""Tolerance in cells: a position at most this far from a border of cells counts as on the border."""
 
 
 @internal
 def highest_cell(height, row, col):
-    """Row and column of the cell that a place lies in, the highest of those that meet there; (-1, -1) where none has a height."""
+    """Return row and column of the cell that contains a position, or (-1, -1) where no cell there has a height.
+
+    The highest of the cells wins where several meet.
+    """
     best_row, best_col = -1, -1
     if not (np.isfinite(row) and np.isfinite(col)):
         return best_row, best_col
@@ -29,7 +32,7 @@ def highest_cell(height, row, col):
 
 @compiled
 def cell_heights(values, valid, row, col):
-    """Heights float32 of the cells of a window at places (n, m), NaN where there is none; and whether they are valid."""
+    """Return the heights (n, m) float32 of the cells at positions (n, m), NaN where no cell has one, and the valid mask (n, m)."""
     out = np.full(row.shape, np.nan, np.float32)
     there = np.zeros(row.shape, np.bool_)
     for i in range(row.shape[0]):

@@ -1,20 +1,20 @@
-"""Collars: cells round the data that mean nothing, and that the file does not declare, as the zeros that warping leaves behind.
+"""Detect collars: undeclared nodata cells round the data, such as the zeros that warping leaves behind.
 
-A collar is one value, as 0 or -9999, in connected cells at the raster's border. So are the sea, lakes and dammed rivers. What tells
-them apart is how the ground meets them. A shore is where ground comes down to the water: across it heights change about as much
-as they do one cell farther inland. A collar is cut through ground of any height: across its rim heights change by far more, and
-the ground that is cut stands about as high above the value as all the ground does. So a value is taken for a collar's where
+A collar is one value, such as 0 or -9999, in connected cells at the raster's border. So are the sea, lakes and dammed rivers.
+The height step at the edge tells them apart. At a shore the ground comes down to the water: heights change across it about as
+much as they do one cell farther inland. A collar cuts through ground of any height: heights change far more across its rim, and
+the cut ground stands about as high above the value as all ground does. A value counts as a collar if all these hold:
 
-* it fills at least ``BORDER_SHARE`` of the border's cells (``HIGH_BORDER_SHARE``, where it lies above the ground as no sea does);
-* hardly any ground lies on its far side (``BEYOND_SHARE``), and the ground is one piece, for the most part, and not just a thing
-  that stands on a plain;
-* at least ``CLIFF_SHARE`` of the rim is a cliff: ``CLIFF_M`` high, and ``CLIFF_STEPS`` times the step behind it;
-* and those cliffs are at least ``CUT_SHARE`` as high as the ground usually stands above the value, as no quay nor dam is.
+* It fills at least ``BORDER_SHARE`` of the border's cells (``HIGH_BORDER_SHARE`` if it lies above the ground, as no sea does).
+* At most ``BEYOND_SHARE`` of the ground lies on its far side. The ground is mostly one piece, and not an object on a plain.
+* At least ``CLIFF_SHARE`` of the rim is a cliff: ``CLIFF_M`` high, and ``CLIFF_STEPS`` times the step behind it.
+* Those cliffs are at least ``CUT_SHARE`` of the usual height of the ground above the value. No quay or dam is.
 
-The rule was found by measuring. Of collars made round nine real rasters, plain, hills, coastal towns and mountains, the rim was
-cliffs for 31 to 100 %; of coasts from 7 m to 1 degree a cell, of lakes and of rivers for 15 % at most. It misses collars less than
-``CLIFF_M`` below the ground, where nearly all ground at the rim lies at sea level, and where most of a raster is collar. It would
-take a long ice front, or a coast of cliffs by far, for one.
+The rule comes from measurements. Of collars made round nine real rasters (plains, hills, coastal towns, mountains) 31 to 100 % of
+the rim was cliff. Of coasts (cells of 7 m to 1 degree), lakes and rivers at most 15 % was.
+
+Known limits: the rule misses collars less than ``CLIFF_M`` below the ground, rasters with nearly all ground at the rim at sea
+level, and rasters that are mostly collar. It mistakes a long ice front or a coast that is mostly cliffs for a collar.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from skugga.terrain.level.level_source import remedy
 BORDER_SHARE, HIGH_BORDER_SHARE = 0.05, 0.25
 BEYOND_SHARE = 0.05
 LEAST_DATA = 0.2
-"""Share of the cells that is ground, at least."""
+"""Minimum share of the cells that is ground."""
 
 CLIFF_M, CLIFF_STEPS = 10.0, 8.0
 CLIFF_SHARE = 0.25
 CUT_SHARE = 0.4
 
 LEAST_RIM = 16
-"""Places on the rim by which it can be judged."""
+"""Minimum number of rim positions that a decision needs."""
 
 RIM_WINDOWS = 64
-"""Windows at full detail in which the rim of a raster that is larger than its overview is looked at."""
+"""Number of full-resolution windows along the rim that are read of a raster larger than its overview."""
 
 BORDER_CELLS = 32
-"""Depth of the strips along the border that are read at full detail: a thin collar is not in the overview."""
+"""Depth in cells of the full-resolution strips along the border: the overview does not show a thin collar."""
 
 BORDER_PLACES = 4096
-"""Most places along a strip that are looked at."""
+"""Maximum number of samples along a strip."""
 
 _CANDIDATES = 2
 _EIGHT = np.ones((3, 3), bool)
@@ -54,8 +54,16 @@ _EIGHT = np.ones((3, 3), bool)
 
 @dataclass(frozen=True)
 class Collar:
-    """A value that seems to mean nothing: the cells' ``value`` as the file has it, the share of the border that it fills, and the
-    usual height of the cliff between it and the ground, metres.
+    """A value that appears to be undeclared nodata.
+
+    Attributes
+    ----------
+    value
+        The cells' value, as stored in the file.
+    border_share
+        Share of the border that the value fills, in [0, 1].
+    cliff_m
+        Median height of the cliff between the value and the ground, metres.
     """
 
     value: float
@@ -64,18 +72,26 @@ class Collar:
 
     @property
     def warning(self) -> str:
-        """What is noticed and what to write, as a sentence."""
+        """The problem and its remedy, as a sentence."""
         value = f"{self.value:.9g}"
         return (
-            f"{100 * self.border_share:.0f} % of the raster's border is {value}, {self.cliff_m:.0f} m from the ground beside it: "
-            f"if that means no data, {remedy('nodata', value)}"
+            f"{100 * self.border_share:.0f} % of the raster's border is {value}, {self.cliff_m:.0f} m from the ground beside it. "
+            f"If that means no data, {remedy('nodata', value)}"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Cells as the file has them (rows, cols), where they are heights, and on which sides the raster ends (top, bottom, left,
-    right).
+    """Cells as stored in the file.
+
+    Attributes
+    ----------
+    values
+        Stored values (rows, cols).
+    known
+        bool (rows, cols): whether a cell holds a height.
+    ends
+        Whether the raster ends at the top, bottom, left and right side.
     """
 
     values: np.ndarray
@@ -83,14 +99,24 @@ class _Cells:
     ends: tuple[bool, bool, bool, bool] = (True, True, True, True)
 
     def border(self, of: np.ndarray) -> np.ndarray:
-        """An array's cells (n,) where the raster ends."""
+        """Return an array's cells (n,) at the sides where the raster ends."""
         sides = of[0], of[-1], of[:, 0], of[:, -1]
         return np.concatenate([side for side, end in zip(sides, self.ends, strict=True) if end])
 
 
 @dataclass(frozen=True, eq=False)
 class _Region:
-    """The cells of a value at the border (bool), the ground that they may surround (bool), and the share of the border."""
+    """The border cells of one value and the ground beside them.
+
+    Attributes
+    ----------
+    cells
+        bool (rows, cols): the value's cells that are connected to the border.
+    ground
+        bool (rows, cols): the ground that they may surround.
+    border_share
+        Share of the border that they fill, in [0, 1].
+    """
 
     cells: np.ndarray
     ground: np.ndarray
@@ -98,7 +124,10 @@ class _Region:
 
 
 def collar_of(elevation: Elevation) -> Collar | None:
-    """The collar that a raster seems to have, if any. Reads its cells coarsely, and its border and the rim at full detail."""
+    """Return the collar that a raster appears to have, or ``None``.
+
+    Reads the cells at the overview's resolution, and the border and the rim at full resolution.
+    """
     factor = 2**elevation.overview.level
     shape = max(elevation.rows // factor, 1), max(elevation.cols // factor, 1)
     whole = slice(0, elevation.rows), slice(0, elevation.cols)
@@ -121,13 +150,13 @@ def collar_of(elevation: Elevation) -> Collar | None:
 
 
 def _candidates(seen: _Cells) -> Iterator[tuple[np.generic, _Region]]:
-    """The commonest values of the border, with their cells that hang together with it."""
+    """Yield the most common values of the border, each with its cells that are connected to the border."""
     border = seen.border(seen.values)[seen.border(seen.known)]
     values, count = np.unique(border, return_counts=True)
     for index in np.argsort(count)[::-1][:_CANDIDATES]:
         if count[index] < BORDER_SHARE * max(len(seen.border(seen.known)), 1):
             return
-        from scipy.ndimage import label  # a quarter of a second, which rasters without such a value need not pay
+        from scipy.ndimage import label  # here: the import takes 0.25 s, and most rasters have no candidate
 
         parts, _ = label(seen.known & (seen.values == values[index]), _EIGHT)
         at_border = seen.border(parts)
@@ -144,7 +173,7 @@ def _candidates(seen: _Cells) -> Iterator[tuple[np.generic, _Region]]:
 def _judged(
     seen: _Cells, region: _Region, value: np.generic, across_m: np.ndarray, behind_m: np.ndarray, unit_m: float
 ) -> Collar | None:
-    """The collar, if the steps (n,) across a region's rim and behind it are those of one."""
+    """Return the collar if the steps (n,) across a region's rim and behind it are those of a collar, else ``None``."""
     if len(across_m) < LEAST_RIM:
         return None
     above_m = (seen.values[region.ground].astype(np.float64) - float(value)) * unit_m
@@ -161,8 +190,9 @@ def _judged(
 
 
 def _steps(values: np.ndarray, cells: np.ndarray, ground: np.ndarray, value: np.generic) -> tuple[np.ndarray, np.ndarray]:
-    """Steps (n,) of the file's values across a region's rim, in all four directions, and from the first cell of ground to the
-    second.
+    """Return the steps (n,) of the stored values across a region's rim, and those (n,) from the first ground cell to the second.
+
+    Both cover all four directions.
     """
     across, behind = [], []
     for turns in range(4):
@@ -175,7 +205,7 @@ def _steps(values: np.ndarray, cells: np.ndarray, ground: np.ndarray, value: np.
 
 
 def _steps_at_full_detail(elevation: Elevation, region: _Region, value: np.generic, factor: int) -> tuple[np.ndarray, np.ndarray]:
-    """The same steps in windows along a rim that was seen in cells of ``factor`` raster cells a side."""
+    """Return the same steps, read in full-resolution windows along a rim found in cells of ``factor`` raster cells a side."""
     rows, cols = region.cells.shape
     beside = np.zeros_like(region.cells)
     for axis in (0, 1):
@@ -197,7 +227,7 @@ def _steps_at_full_detail(elevation: Elevation, region: _Region, value: np.gener
 
 
 def _strips(elevation: Elevation) -> Iterator[_Cells]:
-    """The cells along the four sides, at full detail across."""
+    """Yield the cells along the four sides, at full resolution across the strip."""
     rows, cols = elevation.shape
     deep, wide = min(BORDER_CELLS, rows), min(BORDER_CELLS, cols)
     along_row, along_col = min(cols, BORDER_PLACES), min(rows, BORDER_PLACES)

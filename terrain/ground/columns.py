@@ -1,13 +1,14 @@
-"""The ground as upright columns: every cell of a raster has a flat top, and walls stand on the borders between cells.
+"""Ground as columns: every raster cell has a flat top, and vertical walls stand on the borders between cells.
 
-That is what surface models of cities state: heights of cells, with walls that have no width in a map. The columns are those of the
-raster's own cells in its own CRS, whatever map they are drawn in; zoomed out, those of cells that are averaged 2 x 2, 4 x 4, ...
+City surface models describe such ground: heights of cells, with walls that have no width in a map. The columns are those of the
+raster's own cells in its own CRS, whatever the CRS of the map. Zoomed out, they are those of cells averaged 2 x 2, 4 x 4, ...
 
-**One place a column.** A pixel shows the middle of the top that it lies in, at every zoom: a cell has one class, as in the tools of
-city climate. (Taken where the pixels lie, the shadows that the steps of a pitched roof throw on each other would show as hatching.)
+**One sample a column.** A pixel shows the centre of the top that contains it, at every zoom: a cell has one class, as in the tools
+of urban climatology. (With samples at the pixels' own positions, the shadows that the steps of a pitched roof cast on each other
+would show as hatching.)
 
-**As a sheet** the cells' corners are nodes, each as often as cells meet in it: between the tops lie walls, and over a corner of
-four cells a quad that is upright, too, and seen from above a point. So the sheet is of one piece, and its walls have no seams.
+**As a mesh**, each corner of the cells is one node for every cell that meets there. Walls lie between the tops. At a corner of four
+cells lies a vertical quad, too, which is a point seen from above. So the mesh is one piece, and its walls have no seams.
 """
 
 from __future__ import annotations
@@ -27,30 +28,50 @@ from skugga.terrain.ground.sheet import Sheet, cuts_of, sheet_triangles
 from skugga.terrain.ground.surface import Surface, cubic_weights, interpolated
 
 MAX_WINDOW_CELLS = 2**26
-"""Most cells under a block: more lie under one only where a map bends the raster out of shape, as round a pole."""
+"""Maximum cells under a block. Only a map that distorts the raster heavily, as round a pole, has more."""
 
 
 @dataclass(frozen=True, eq=False)
 class ColumnSheet(Sheet):
-    """The sheet of columns: nodes (2 rows, 2 cols), of each cell its north-west, north-east, south-west and south-east corner."""
+    """The mesh of columns.
+
+    Its nodes (2 rows, 2 cols) are the north-west, north-east, south-west and south-east corner of each cell.
+
+    Attributes
+    ----------
+    height_m
+        Heights of the cells, metres, float32 (rows, cols).
+    """
 
     height_m: np.ndarray
 
     @cached_property
     def triangles(self) -> np.ndarray:
-        """As a ``Sheet`` has them, but for those without any area: walls between cells that are level, and corners."""
+        """Node indices (n, 3) int32 as in ``Sheet``, without triangles of zero area: walls between equal heights, and corners."""
         return sheet_triangles(self.falls)[np.repeat(self.has_area.ravel(), 2)]
 
     @cached_property
     def has_area(self) -> np.ndarray:
-        """Which quads (2 rows - 1, 2 cols - 1) are tops, or walls between cells of different heights."""
+        """Whether a quad is a top, or a wall between cells of different heights: bool (2 rows - 1, 2 cols - 1)."""
         return _has_area(self.height_m)
 
 
 @dataclass(frozen=True, eq=False)
 class ColumnWindow:
-    """Cells [row0, row0 + rows) x [col0, col0 + cols) of ``Columns``, as a ``SurfaceWindow`` has nodes: ``height_m`` (rows, cols)
-    float32, NaN where there is no column; ``there`` says where the picture shows one; and their ``sheet`` in a frame.
+    """Cells [row0, row0 + rows) x [col0, col0 + cols) of ``Columns``: the counterpart of ``SurfaceWindow``.
+
+    Attributes
+    ----------
+    columns
+        The columns that the window is cut from.
+    row0, col0
+        First row and column.
+    height_m
+        Heights, metres, float32 (rows, cols); NaN where no column stands.
+    there
+        Valid mask (rows, cols): whether the image shows a column.
+    frame
+        Local frame of ``sheet``.
     """
 
     columns: Columns
@@ -68,7 +89,7 @@ class ColumnWindow:
 
     @cached_property
     def sheet(self) -> ColumnSheet:
-        """The columns' tops and walls."""
+        """The mesh of the columns' tops and walls."""
         rows, cols = self.height_m.shape
         ground = self.columns.corners(self.row0, self.col0, rows, cols, self.frame)
         doubled = np.repeat(np.repeat(self.height_m, 2, axis=0), 2, axis=1)
@@ -77,7 +98,17 @@ class ColumnWindow:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The columns of a raster's cells of a level: 2**level of its cells a side. ``grid`` is of their centres."""
+    """The columns of a raster's cells at one level.
+
+    Attributes
+    ----------
+    world
+        The world that the raster lies in.
+    elevation
+        The raster.
+    level
+        Level of detail: a column is 2**level raster cells a side.
+    """
 
     world: World
     elevation: Elevation
@@ -91,27 +122,27 @@ class Columns:
         return Grid(self.elevation.crs, float(x0), float(y0), float(x1 - x0) * side, float((y0 - y1) / (x1 - x0)))
 
     def coarser(self, level: int) -> Columns:
-        """The columns of 2**level times as large cells."""
+        """Return the columns of cells that are 2**level times as large."""
         return replace(self, level=self.level + level)
 
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> ColumnWindow:
-        """The columns of a window, in a frame."""
+        """Return the columns of a window, in a frame."""
         return ColumnWindow(self, row0, col0, *self.heights(row0, col0, rows, cols), frame)
 
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Heights in metres (float32) of a window's cells, and where there is a surface."""
+        """Return the heights of a window's cells, metres, float32 (rows, cols), and their valid mask."""
         side = 2**self.level
         row, col = ((np.arange(first, first + count) + 0.5) * side - 0.5 for first, count in ((row0, rows), (col0, cols)))
         return self.elevation.heights_at(self.level, *np.meshgrid(row, col, indexing="ij"))
 
     def corners(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> np.ndarray:
-        """Frame points of height 0 and the directions up (rows + 1, cols + 1, 6) at the corners of a window's cells."""
+        """Return frame points of height 0 and unit up vectors (rows + 1, cols + 1, 6) at the corners of a window's cells."""
         cells = self.grid
         grid = replace(cells, x0=float(cells.x(-0.5)), y0=float(cells.y(-0.5)))
         return self.ground(grid, row0, col0, rows + 1, cols + 1, frame)
 
     def ground(self, grid: Grid, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> np.ndarray:
-        """The same (rows, cols, 6) at the nodes of a grid."""
+        """Return frame points of height 0 and unit up vectors (rows, cols, 6) at the nodes of a grid."""
         surface = Surface(self.world, self.elevation, grid)
         exact_row, exact_col, x, y = surface.exact_nodes(row0, col0, rows, cols, surface.stride)
         point, up = self.world.ground(grid.crs, x, y)
@@ -122,8 +153,14 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class PlacedOnColumns:
-    """Places (rows, cols) on columns: the ``window`` round them all, and ``row`` and ``col`` int32 of the cells there that they lie
-    in; -1 where there is none.
+    """The columns under positions (rows, cols).
+
+    Attributes
+    ----------
+    window
+        The window that contains all positions.
+    row, col
+        int32 (rows, cols): row and column in the window of the cell under each position; -1 where it has no cell.
     """
 
     window: ColumnWindow
@@ -133,8 +170,18 @@ class PlacedOnColumns:
 
 @dataclass(frozen=True, eq=False)
 class SeenFromAbove:
-    """What is seen of columns at places (rows, cols): whether anything, the middles of their tops in a frame, their heights, and
-    the directions up there.
+    """Tops of the columns under positions (rows, cols).
+
+    Attributes
+    ----------
+    there
+        Valid mask (rows, cols): whether a column shows at the position.
+    position_frame_m
+        Centres of the tops in a frame, metres, (rows, cols, 3).
+    height_m
+        Heights of the columns, metres, (rows, cols).
+    up_frame
+        Unit up vectors at the centres, in the frame, (rows, cols, 3).
     """
 
     there: np.ndarray
@@ -144,9 +191,10 @@ class SeenFromAbove:
 
 
 def columns_under(surface: Surface, row: np.ndarray, col: np.ndarray, frame: LocalFrame) -> tuple[PlacedOnColumns, SeenFromAbove]:
-    """The columns under places at rows (n,) and columns (m,) of a surface's grid, of the cells that the surface would show.
+    """Return the columns under positions at rows (n,) and columns (m,) of a surface's grid.
 
-    Raises ``UnsupportedError`` where the map bends the raster so much that too many cells would be needed.
+    The cells are those of the level that the surface itself would show. Raises ``UnsupportedError`` where the map distorts the
+    raster so heavily that more than ``MAX_WINDOW_CELLS`` cells would be needed.
     """
     stride = surface.stride
     row0, col0 = int(np.floor(row[0])), int(np.floor(col[0]))
@@ -171,24 +219,24 @@ def columns_under(surface: Surface, row: np.ndarray, col: np.ndarray, frame: Loc
 
 
 def _window_round(columns: Columns, row: np.ndarray, col: np.ndarray, frame: LocalFrame) -> ColumnWindow:
-    """The window round places, with a rim of one cell, as far as the raster goes."""
+    """Return the window that contains all positions, with a rim of one cell, clipped to the raster."""
     known = np.isfinite(row) & np.isfinite(col)
     ends = []
     for values, cells in ((row, columns.elevation.rows), (col, columns.elevation.cols)):
         low, high = (np.floor([values[known].min(), values[known].max()]) if known.any() else (0.0, 0.0)) + np.array([-1.0, 2.0])
-        if values is row or not columns.elevation.crs.is_geographic:  # longitudes go on round the earth
+        if values is row or not columns.elevation.crs.is_geographic:  # longitudes wrap
             low, high = max(low, -2.0), min(high, cells / 2**columns.level + 2.0)
         ends.append((int(low), max(int(high - low) + 1, 2)))
     (row0, rows), (col0, cols) = ends
     if rows * cols > MAX_WINDOW_CELLS:
-        allowed = f"maps with up to {MAX_WINDOW_CELLS} columns under a block: here there are {rows * cols}"
+        allowed = f"a block of this map has {rows * cols} columns under it, more than the limit of {MAX_WINDOW_CELLS}"
         raise UnsupportedError("terrain.surface", "blocks", allowed)
     return columns.window(row0, col0, rows, cols, frame)
 
 
 @compiled
 def _placed(exact, first_row, first_col, stride, row, col):
-    """As ``skugga.terrain.ground.surface.interpolated``, at (fractional) rows and columns."""
+    """Interpolate as ``skugga.terrain.ground.surface.interpolated`` does, at fractional rows and columns: float64 (n, m, k)."""
     kinds = exact.shape[2]
     out = np.empty((row.size, col.size, kinds))
     along = np.empty((exact.shape[1], kinds))
@@ -216,7 +264,10 @@ def _placed(exact, first_row, first_col, stride, row, col):
 
 @compiled
 def _tops(height, shown, middles, row, col):
-    """Of places (n, m) of a window: row and column of their cells, whether they show one, its top's middle, height and way up."""
+    """Look up the columns at positions (n, m) of a window.
+
+    Returns row and column of each cell (-1 where it has none), the valid mask, the centre of its top, its height and its up vector.
+    """
     cell_row, cell_col = np.full(row.shape, -1, np.int32), np.full(row.shape, -1, np.int32)
     there = np.zeros(row.shape, np.bool_)
     point = np.full((row.shape[0], row.shape[1], 3), np.nan)
@@ -238,7 +289,7 @@ def _tops(height, shown, middles, row, col):
 
 @compiled
 def _corners(ground, height):
-    """The nodes (2 rows, 2 cols, 3) of columns over the ground (rows + 1, cols + 1, 6) at their corners."""
+    """Return the nodes (2 rows, 2 cols, 3) of columns over the ground (rows + 1, cols + 1, 6) at their corners."""
     rows, cols = height.shape
     out = np.empty((2 * rows, 2 * cols, 3))
     for i in range(2 * rows):

@@ -1,14 +1,15 @@
-"""Fewer triangles for a grid of heights, by what an eye can see of it: a restricted right-triangulated irregular network.
+"""Decimate a grid of heights by view-dependent error: a restricted right-triangulated irregular network (RTIN).
 
-Two right triangles cover a square of 2**k cells a side; each is halved at the middle of its hypotenuse, and so on down to
-half cells (W. Evans, D. Kirkpatrick, G. Townsend 2001, "Right-triangulated irregular networks"). So every node bisects one
-hypotenuse, and with it at most two triangles, one on each side. With ``step`` running over 1, 2, 4, ..., a node at odd
-multiples of the step in row and column (a centre) bisects the diagonal of a square, one at an odd and an even multiple (a
-side's middle) bisects a side of it. A node needs the two apexes opposite to it, its parents; where all active nodes have
-active parents there are no T-junctions, hence no cracks (P. Lindstrom, V. Pascucci 2002, "Terrain simplification
-simplified", IEEE TVCG 8(3)).
+Two right triangles cover a square of 2**k cells a side. Each is halved at the middle of its hypotenuse, and so on down to half
+cells (W. Evans, D. Kirkpatrick, G. Townsend 2001, "Right-triangulated irregular networks"). So every node bisects one hypotenuse,
+and with it at most two triangles, one on each side.
 
-The square is virtual: nodes beyond the grid exist nowhere. Triangles that reach beyond it are always halved.
+``step`` runs over 1, 2, 4, ... A node at odd multiples of the step in row and column (a centre) bisects the diagonal of a square.
+A node at an odd and an even multiple (a side's middle) bisects a side of it. A node needs the two apexes opposite to it, its
+parents. If all active nodes have active parents, no T-junctions arise, hence no cracks (P. Lindstrom, V. Pascucci 2002, "Terrain
+simplification simplified", IEEE TVCG 8(3)).
+
+The square is virtual: it has no nodes beyond the grid. Triangles that reach beyond the grid are always halved.
 """
 
 from __future__ import annotations
@@ -22,33 +23,33 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.geo.world import EARTH_RADIUS_M
 
 _PRESENT, _ABSENT, _BOTH = 1, 2, 3
-"""What the smallest triangles within a triangle are, as bits; both: it crosses the outline of the data."""
+"""Bits for the smallest triangles within a triangle: all present, all absent, or both, where it crosses the outline of the data."""
 
 LARGEST_UNDER_EYE = 64.0
-"""How many times as long as the eye is high a triangle under it may be.
+"""Maximum length of a triangle under the eye, as a multiple of the eye's height above the ground.
 
-Positions are float32: of a triangle whose corners lie E metres off they are told apart to 4.8e-7 E, by which a ray of a sun 8
-degrees high ends 3.4e-6 E from where it should. That is a quarter of a pixel of a thousandth, seen from E / 75.
+Positions are float32. Points of a triangle whose corners are E metres away are resolved to 4.8e-7 E. For a sun 8 degrees high,
+this displaces the end of a ray by 3.4e-6 E. Seen from E / 75, that is a quarter of a pixel of a thousandth.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class NodeErrors:
-    """What each node of a surface is worth, whoever looks at it.
+    """View-independent errors of the nodes of a surface.
 
     Attributes
     ----------
     height_m
-        float32 (rows, cols); nodes that are not finite are absent.
+        float32 (rows, cols), metres; nodes that are not finite are absent.
     spacing_m
-        Distance between neighbouring nodes.
+        Distance between neighbouring nodes, metres.
     error_m
-        float32 (rows, cols): how far a node lies, vertically, from the middle of the hypotenuse it bisects. Infinite where
-        the outline of the data needs the node, 0 where there is nothing to draw.
+        float32 (rows, cols): vertical distance of a node from the middle of the hypotenuse that it bisects, metres. Infinite where
+        the outline of the data needs the node, 0 where nothing is drawn.
     bisected
-        uint8 (rows, cols): how many triangles without an absent part a node bisects, 0 to 2.
+        uint8 (rows, cols): number of triangles without an absent part that a node bisects, 0 to 2.
     triangles
-        How many triangles there are with all nodes: halves of cells with three present corners.
+        Number of triangles with all nodes: halves of cells with three present corners.
     """
 
     height_m: np.ndarray
@@ -69,7 +70,7 @@ class Decimated:
     triangles
         int32 (m, 3), indices into ``nodes``, counter-clockwise from above where columns run east and rows south.
     tolerance
-        Nodes whose error is above this share of their distance to the eye are all there.
+        Angle in radians: all nodes whose error exceeds this share of their distance to the eye are used.
     """
 
     nodes: np.ndarray
@@ -78,10 +79,10 @@ class Decimated:
 
 
 def errors_m(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> NodeErrors:
-    """The errors of all nodes of a grid of heights (rows, cols), NaN where there is no surface.
+    """Return the errors of all nodes of a grid of heights (rows, cols), metres, NaN where no surface is.
 
-    ``sagitta`` adds how far the earth bulges above a hypotenuse, length**2 / (8 R) with the earth's mean radius R. Raises
-    ``InputError`` for heights that are no grid and a spacing that is not positive.
+    ``sagitta`` adds the bulge of the earth above a hypotenuse, length**2 / (8 R), with the earth's mean radius R. Raises
+    ``InputError`` if the heights are not a two-dimensional array or the spacing is not positive.
     """
     height = np.ascontiguousarray(heights_m, np.float32)
     if height.ndim != 2:
@@ -96,12 +97,14 @@ def errors_m(heights_m: np.ndarray, spacing_m: float, sagitta: bool) -> NodeErro
 def decimate(
     errors: NodeErrors, eye_row_col_m: tuple[float, float, float], tolerance: float, max_triangles: int, near_m: float = 1.0
 ) -> Decimated:
-    """The nodes that an eye at (row, col, height in metres) can tell from those left out, and their triangles.
+    """Return the nodes whose omission an eye at (row, col, height in metres) could see, and their triangles.
 
-    A node is active if its error is above ``tolerance`` (radians) times its distance to the eye, taken as ``near_m`` at
-    least; so is one whose error bends the ground nearest to the eye by that much there. With more than ``max_triangles``
-    triangles, the tolerance becomes the smallest that needs no more; the outline of the data is kept even if it alone needs
-    more. Raises ``InputError`` for arguments that are not finite or not positive (the tolerance may be 0).
+    A node is active if its error exceeds ``tolerance`` (radians) times its distance to the eye, which counts as at least
+    ``near_m``. A node is also active if its error bends the ground nearest to the eye by as much there.
+
+    If more than ``max_triangles`` triangles result, the tolerance rises to the smallest one that stays within the limit. The
+    outline of the data is kept even if it alone exceeds the limit. Raises ``InputError`` for arguments that are not finite or not
+    positive (the tolerance may be 0).
     """
     if not np.isfinite(eye_row_col_m).all():
         raise InputError("eye_row_col_m", eye_row_col_m, "finite row, column and height")
@@ -130,7 +133,10 @@ def decimate(
 
 @compiled
 def _node_errors(height, bulge_m):
-    """Error (rows, cols) of each node and how many wholly present triangles it bisects; ``bulge_m`` for a length of 1."""
+    """Return each node's error (rows, cols) and the number of wholly present triangles that it bisects.
+
+    ``bulge_m`` is the earth's bulge above a hypotenuse of length 1.
+    """
     rows, cols = height.shape
     error = np.zeros((rows, cols), np.float32)
     parts = np.zeros((rows, cols), np.uint8)
@@ -140,7 +146,7 @@ def _node_errors(height, bulge_m):
         _fill(height, bulge_m, error, parts, step, 0, 2 * step, step, 0)
         for row in (step, 3 * step):
             for col in (step, 3 * step):
-                # The diagonal runs through the centre of the square twice as large.
+                # The diagonal passes through the centre of the square that is twice as large.
                 _fill(height, bulge_m, error, parts, row, col, 4 * step, step, step if row == col else -step)
         step *= 2
     for row in range(rows):
@@ -152,10 +158,10 @@ def _node_errors(height, bulge_m):
 
 @internal
 def _fill(height, bulge_m, error, parts, first_row, first_col, stride, down, right):
-    """Fill in nodes whose hypotenuses end at (down, right) from them and opposite; those within their triangles are there.
+    """Fill in the nodes whose hypotenuses end at offset (down, right) and at the opposite offset.
 
-    ``parts`` holds two bits for the triangle whose apex comes before the node in reading order, and above them two for the
-    one whose apex comes after it.
+    The nodes within their triangles are already filled in. ``parts`` holds two bits for the triangle whose apex comes before the
+    node in reading order, and above them two bits for the triangle whose apex comes after it.
     """
     rows, cols = height.shape
     bulge_m *= 4.0 * (down * down + right * right)
@@ -171,7 +177,7 @@ def _fill(height, bulge_m, error, parts, first_row, first_col, stride, down, rig
                 apex_row, apex_col = row + turn * right, col - turn * down
                 if 0 <= apex_row < rows and 0 <= apex_col < cols:
                     part = _halves(height, parts, row, col, down, right, apex_row, apex_col)
-                    # A triangle with three present corners is drawn: it must not be where all its parts are absent.
+                    # A triangle with three present corners is drawn, so one whose parts are all absent must be halved.
                     needed |= part == _ABSENT and ends_there and np.isfinite(height[apex_row, apex_col])
                 elif apex_row < 0 or apex_col < 0 or (row == rows - 1 if down == 0 else col == cols - 1):
                     part = _ABSENT
@@ -189,7 +195,7 @@ def _fill(height, bulge_m, error, parts, first_row, first_col, stride, down, rig
 
 @internal
 def _halves(height, parts, row, col, down, right, apex_row, apex_col):
-    """Parts of both halves of a triangle, each bounded by its bisecting node, its apex and an end of its hypotenuse."""
+    """Return the parts of both halves of a triangle; each half spans the bisecting node, the apex and an end of the hypotenuse."""
     found = 0
     for end in (-1, 1):
         half_down, half_right = apex_row - row + end * down, apex_col - col + end * right
@@ -198,7 +204,7 @@ def _halves(height, parts, row, col, down, right, apex_row, apex_col):
             there = there and np.isfinite(height[row + end * down, col + end * right])
             found |= _PRESENT if there else _ABSENT
         else:
-            # The half's apex, which is this node, comes before the node that bisects it, or after it.
+            # This node is the half's apex. It comes before or after the node that bisects the half.
             before = half_down > 0 or (half_down == 0 and half_right > 0)
             found |= parts[row + (half_down >> 1), col + (half_right >> 1)] >> (0 if before else 2) & 3
     return found
@@ -206,7 +212,7 @@ def _halves(height, parts, row, col, down, right, apex_row, apex_col):
 
 @compiled
 def _smallest_triangles(height):
-    """How many half cells have three present corners; the diagonals meet in the nodes of even row and column."""
+    """Return the number of half cells with three present corners; the diagonals meet in the nodes of even row and column."""
     count = 0
     for row in range(height.shape[0] - 1):
         for col in range(height.shape[1] - 1):
@@ -220,7 +226,10 @@ def _smallest_triangles(height):
 
 @compiled
 def _own_limits(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):
-    """The tolerances below which nodes are needed for their own sake, float32; and the distance of the nearest node."""
+    """Return each node's limit (rows, cols) float32, and the distance in metres of the nearest node.
+
+    A node is needed for its own error at tolerances below its limit.
+    """
     rows, cols = height.shape
     limit = np.empty((rows, cols), np.float32)
     nearest = np.inf
@@ -237,10 +246,10 @@ def _own_limits(error, height, spacing_m, eye_row, eye_col, eye_m, near_m):
 
 @compiled
 def _bend_near_eye(limit, error, eye_row, eye_col, nearest_m):
-    """Raise limits of nodes that bend the ground nearest to the eye, which may be far nearer than they are.
+    """Raise the limits of nodes that bend the ground nearest to the eye, which may be far nearer than the nodes.
 
-    A node's error bends the triangles it bisects like a tent, down to nothing at their other edges. Outside of the tent no
-    point sees it larger than the node itself does; within it, the ground at the eye does.
+    A node's error bends the triangles that it bisects like a tent, down to zero at their other edges. Outside the tent no point
+    sees the error larger than the node itself does. Within the tent, the ground at the eye does.
     """
     rows, cols = limit.shape
     eye_row, eye_col = min(max(eye_row, 0.0), rows - 1.0), min(max(eye_col, 0.0), cols - 1.0)
@@ -260,9 +269,9 @@ def _bend_near_eye(limit, error, eye_row, eye_col, nearest_m):
 
 @compiled
 def _split_under_eye(limit, height, eye_row, eye_col, eye_m, spacing_m, near_m):
-    """Need the nodes that halve triangles under the eye, or next to it, that are longer than ``LARGEST_UNDER_EYE`` says.
+    """Make the nodes mandatory that halve triangles under or next to the eye longer than ``LARGEST_UNDER_EYE`` allows.
 
-    Next to it is as near as 1/32 of a triangle's leg: there those are that meet in a node right under the eye.
+    "Next to" means within 1/32 of a triangle's leg. This catches the triangles that meet in a node right under the eye.
     """
     rows, cols = limit.shape
     eye_row, eye_col = min(max(eye_row, 0.0), rows - 1.0), min(max(eye_col, 0.0), cols - 1.0)
@@ -280,7 +289,7 @@ def _split_under_eye(limit, height, eye_row, eye_col, eye_m, spacing_m, near_m):
 
 @internal
 def _need_over(limit, at_row, at_col, step):
-    """Need the nodes of a step that halve a triangle over a place."""
+    """Make the nodes of a step mandatory that halve a triangle over a position."""
     middle_row = int(np.floor(at_row)) // (2 * step) * 2 * step + step
     middle_col = int(np.floor(at_col)) // (2 * step) * 2 * step + step
     for down, right in ((0, 0), (-step, 0), (step, 0), (0, -step), (0, step)):
@@ -293,7 +302,7 @@ def _need_over(limit, at_row, at_col, step):
 
 @compiled
 def _propagate(limit):
-    """Raise each node's limit to those of the nodes that need it, from the smallest triangles upwards."""
+    """Raise each node's limit to the limits of the nodes that depend on it, from the smallest triangles upwards."""
     rows, cols = limit.shape
     step = 1
     while step < max(rows, cols) - 1:
@@ -319,7 +328,7 @@ def _at(limit, row, col):
 
 @compiled
 def _saved(limit, bisected, tolerance):
-    """How many triangles a tolerance saves: each wholly present triangle that is not bisected saves one."""
+    """Return the number of triangles that a tolerance saves: each wholly present triangle that is not bisected saves one."""
     saved = 0
     for row in range(limit.shape[0]):
         for col in range(limit.shape[1]):
@@ -329,16 +338,16 @@ def _saved(limit, bisected, tolerance):
 
 @compiled
 def _tolerance_that_saves(limit, bisected, triangles):
-    """The smallest tolerance that saves so many triangles, or the one that saves most.
+    """Return the smallest tolerance that saves at least this many triangles, or else the one that saves most.
 
-    By counting: first by the upper, then by the lower halves of the limits' bits, which order as the limits do.
+    A radix selection finds it, by the upper and then by the lower 16 bits of the limits: positive floats order as their bits do.
     """
     half, mask = np.uint32(16), np.uint32(0xFFFF)
     bits, bisected = limit.ravel().view(np.uint32), bisected.ravel()
     counts = np.zeros(1 << 16, np.int64)
     for n in range(bits.size):
         counts[bits[n] >> half] += bisected[n]
-    saved = np.cumsum(counts[:0x7F80])  # from there on limits are infinite
+    saved = np.cumsum(counts[:0x7F80])  # limits from 0x7F80 on are infinite
     triangles = min(triangles, saved[-1])
     upper = np.searchsorted(saved, triangles)
     counts[:] = 0
@@ -351,16 +360,19 @@ def _tolerance_that_saves(limit, bisected, triangles):
 
 @compiled
 def _bisect(limit, height, tolerance, count):
-    """Nodes (n, 2) and triangles (count, 3): depth first from the two of the whole square, halved where a node is active."""
+    """Return the nodes (n, 2) and triangles (count, 3) of the active nodes.
+
+    Traverses depth first from the two triangles of the whole square, and halves a triangle where its bisecting node is active.
+    """
     rows, cols = height.shape
     side = 1
     while side < max(rows, cols) - 1:
         side *= 2
     triangles = np.empty((count, 3), np.int32)
     nodes = np.empty((min(3 * count, rows * cols), 2), np.int32)
-    index = np.zeros((rows, cols), np.int32)  # one more than the node's, so that untouched memory says "not yet"
+    index = np.zeros((rows, cols), np.int32)  # index + 1; 0 marks nodes not yet used
     made, used = 0, 0
-    # Row and column of apex, then of the hypotenuse's ends, counter-clockwise. Each level leaves one triangle waiting.
+    # Stack of triangles: row and column of the apex, then of the hypotenuse's ends, counter-clockwise. Each level adds one.
     waiting = np.empty((128, 6), np.int64)
     waiting[0], waiting[1] = (0, side, 0, 0, side, side), (side, 0, side, side, 0, 0)
     top = 2

@@ -1,15 +1,15 @@
-"""Heights from any raster that GDAL reads, by windows and overviews only.
+"""Read heights from any raster that GDAL opens, by windows and overviews only.
 
-The surface that a raster states is the bilinear one through its cells' centres, or its cells as they are, where a level asks for
-blocks (``skugga.terrain.ground.columns``). Cells are addressed as (row, col) with
-whole numbers at the centres. Zoomed out, cells are averaged 2 x 2, 4 x 4, ... from the raster's corner, so that a window
-reads the same wherever it begins; less than one such cell is lost at the south and east borders.
+A raster describes the bilinear surface through its cells' centres. Where a level asks for blocks, it describes its cells as they
+are (``skugga.terrain.ground.columns``). Cells are addressed as (row, col), with whole numbers at the centres. Zoomed out, cells are
+averaged 2 x 2, 4 x 4, ... from the raster's corner, so a window reads the same wherever it begins. At the south and east borders
+less than one such cell is lost.
 
-Holes (nodata) are no surface in the picture, but they are filled for casting: smoothly from their rims, so that no wall
-and no pit arises. Cells farther than ``FILL_CELLS`` from any data stay empty and cast nothing.
+Holes (nodata) are invalid in the image but are filled for casting shadows. The fill is smooth from their rims, so no wall and no
+pit arises. Cells farther than ``FILL_CELLS`` from any data stay empty and cast nothing.
 
-Standing water is surface like any other: no height that is given out lies below it. Shores run where the bilinear ground rises
-out of the water, and not along cells.
+Standing water is part of the surface: no returned height lies below it. Shores run where the bilinear ground rises out of the
+water, not along cells.
 """
 
 from __future__ import annotations
@@ -40,31 +40,59 @@ from skugga.terrain.level.level_source import remedy
 from skugga.terrain.level.parts import GroundSurface, Positive, Units
 
 FILL_CELLS = 64
-"""How far from their rims holes are filled, in cells of the level read."""
+"""Maximum distance from their rims to which holes are filled, in cells of the level read."""
 
 PLAUSIBLE_M = (-11500.0, 9500.0)
-"""Heights on earth; anything else (infinities, unmarked sentinels such as -32768) is a hole."""
+"""Lowest and highest height on earth, metres; anything else (infinities, undeclared sentinels such as -32768) is a hole."""
 
 PLAUSIBLE_ELSEWHERE_M = (-32000.0, 32000.0)
-"""Heights on other celestial bodies: Olympus Mons of Mars is 21 km high, the basin Rheasilvia of Vesta 19 km deep."""
+"""Lowest and highest height on other celestial bodies, metres.
+
+Olympus Mons on Mars is 21 km high, the basin Rheasilvia on Vesta 19 km deep.
+"""
 
 READ_BLOCK_CELLS = 1024
-"""Side of the blocks by which heights at scattered points are read, so that few points far apart do not load a whole raster."""
+"""Side of the blocks in which heights at scattered points are read, in cells: a few points far apart do not load a whole raster."""
 
 cap_caches()
 
 
 class Elevation:
-    """An open raster of heights. Not to be shared between threads.
+    """An open raster of heights. Not thread-safe: do not share it between threads.
 
-    ``resolution_m`` is the finest detail that is drawn; ``None`` for the raster's own. ``made`` is a raster in memory that takes
-    the place of the file ``source``. ``water_m`` is the height of standing water (``None``: no water): the surface wherever the
-    ground, exaggerated, lies below it. Holes stay holes. ``surface`` is what lies between the cells' centres. ``nodata`` is a
-    value of the file's cells that means no height, besides the one that the file declares. ``units`` and ``positive`` go before
-    what the file says of its heights; ``vertical`` is what they are taken as, ``unmarked`` which cells can be none.
+    Parameters
+    ----------
+    source
+        The raster's file.
+    units
+        Unit of the heights; overrides the unit that the file states.
+    exaggeration
+        Factor of the heights.
+    resolution_m
+        Finest detail that is drawn, metres; ``None`` for the raster's own.
+    made
+        A raster in memory that replaces the file ``source``.
+    water_m
+        Height of standing water, metres; ``None``: no water. Water is the surface wherever the exaggerated ground lies below it.
+        Holes stay holes.
+    surface
+        The surface between the cells' centres: smooth, or blocks.
+    nodata
+        A value of the file's cells that means no height, in addition to the one that the file declares.
+    positive
+        Whether the file's numbers grow upwards or downwards; overrides what the file states.
 
-    Raises ``SourceError`` if the raster is missing, broken, without a CRS, not where its CRS is, or
-    without a single height.
+    Attributes
+    ----------
+    vertical
+        Unit and direction of the file's numbers, as used.
+    unmarked
+        Counts of the cells that cannot be heights although nothing declares them empty.
+
+    Raises
+    ------
+    SourceError
+        If the raster is missing, broken, without a CRS, outside its CRS, or without a single height.
     """
 
     def __init__(
@@ -89,10 +117,13 @@ class Elevation:
         except (RasterioError, OSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
             reason = reason or "it cannot be opened"
-            raise SourceError(source, reason, "a raster that GDAL reads") from None
+            raise SourceError(source, reason, "Give a raster that GDAL reads") from None
         dataset = self._dataset
         if dataset.count < 1 or dataset.dtypes[0].startswith("complex"):
-            raise SourceError(source, dataset.dtypes[0] if dataset.count else "no band", "a first band of real numbers")
+            raise SourceError(
+                source, f"its first band is of type {dataset.dtypes[0]}" if dataset.count else "it has no band",
+                "Give a raster whose first band has real numbers",
+            )  # fmt: skip
         self.dtype, self.impossible_nodata = dataset.dtypes[0], None if nodata is not None else impossible_nodata(dataset)
         self.crs = crs_of(source, dataset)
         self.rows, self.cols = dataset.height, dataset.width
@@ -109,9 +140,9 @@ class Elevation:
         self.overview = self._read_overview()
         if not np.isfinite(self.overview.heights_m).any():
             if not self.unmarked.beyond:
-                raise SourceError(source, "no height in any cell (all nodata)", "a raster with heights")
-            beyond = f"no height on earth in any cell: {self.unmarked.range_beyond(self.vertical)}"
-            raise SourceError(source, beyond, f"their unit: {remedy('units', 'UNIT')}")
+                raise SourceError(source, "no height in any cell (all nodata)", "Give a raster with heights")
+            beyond = f"no plausible height on earth in any cell ({self.unmarked.range_beyond(self.vertical)})"
+            raise SourceError(source, beyond, f"State the unit of its heights: {remedy('units', 'UNIT')}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -120,20 +151,20 @@ class Elevation:
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """West, south, east, north of the raster in its own CRS."""
+        """West, south, east and north of the raster in its own CRS."""
         x, y = self.xy(np.array([-0.5, -0.5, self.rows - 0.5, self.rows - 0.5]), np.array([-0.5, self.cols - 0.5] * 2))
         return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
     @property
     def square_cell(self) -> float | None:
-        """The side of a cell in CRS units; ``None`` where cells are not square or rows do not run from north to south."""
+        """Side of a cell in CRS units; ``None`` if cells are not square or rows do not run from north to south."""
         gt = self._transform
         square = gt.b == 0 and gt.d == 0 and gt.a > 0 and abs(gt.a + gt.e) <= 1e-9 * gt.a
         return float(gt.a) if square else None
 
     @property
     def upright(self) -> bool:
-        """Whether rows run from west to east, the northern one first."""
+        """Whether the raster is north-up: rows run from west to east, the northernmost one first."""
         gt = self._transform
         return bool(gt.b == 0 and gt.d == 0 and gt.a > 0 and gt.e < 0)
 
@@ -144,12 +175,13 @@ class Elevation:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it holds in memory: its overview; the rest is read as it is asked for."""
+        """Bytes held in memory: the overview. Everything else is read on demand."""
         return bytes_of(self.overview)
 
     def stored(self, rows: slice, cols: slice, shape: tuple[int, int] | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """The cells of a window as the file has them, and which of them are taken for heights (bool); with a smaller ``shape``
-        every so many of them.
+        """Return the cells of a window as stored in the file, and which of them hold heights (bool).
+
+        A smaller ``shape`` decimates them by nearest neighbour.
         """
         window = Window(cols.start, rows.start, cols.stop - cols.start, rows.stop - rows.start)
         stored, _, marked, plausible = self._cells(window, shape, Resampling.nearest)
@@ -157,18 +189,18 @@ class Elevation:
 
     @property
     def metres_per_count(self) -> float:
-        """What a step of 1 of the file's cells is of height as drawn, metres; below 0 where they count downwards."""
+        """Drawn height of a step of 1 in the stored values, metres; negative if they count downwards."""
         return float(self._scale)
 
     def stored_range_m(self, cells: np.ndarray) -> tuple[float, float]:
-        """The lowest and the highest of some of the file's cells as surfaces, metres: none lies below standing water."""
+        """Return the lowest and highest surface of some stored cells, metres: at least the height of standing water."""
         ends = np.array([cells.min(), cells.max()], np.float64) * self._scale + self._offset
         low, high = sorted(max(float(end), self.water_m) for end in ends)
         return low, high
 
     @property
     def overview_factors(self) -> tuple[int, ...]:
-        """By how much the overviews that the file has, and that are used, are coarser than its cells."""
+        """Factors by which the file's overviews, as far as they are used, are coarser than its cells."""
         return tuple(self._dataset.overviews(1))
 
     def close(self) -> None:
@@ -176,48 +208,51 @@ class Elevation:
         self._dataset.close()
 
     def xy(self, row: np.ndarray | float, col: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates in the raster's CRS of (fractional) cells, x to the east and y to the north (``skugga.terrain.geo.axes``)."""
+        """Return coordinates of (fractional) cells in the raster's CRS.
+
+        x is to the east and y to the north (``skugga.terrain.geo.axes``).
+        """
         gt, row, col = self._transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
         return gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
 
     def cell_of(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(Fractional) row and column of coordinates in the raster's CRS; not finite where they are not."""
+        """Return (fractional) row and column of coordinates in the raster's CRS; not finite where the coordinates are not."""
         gt, inverse = self._transform, self._cell_from_crs
-        # From the raster's corner, so that large coordinates cancel before they are multiplied.
+        # Relative to the raster's corner, so that large coordinates cancel before they are multiplied.
         x, y = np.asarray(x, np.float64) - gt.c, np.asarray(y, np.float64) - gt.f
-        with np.errstate(invalid="ignore"):  # a place outside of a CRS is infinite in it
+        with np.errstate(invalid="ignore"):  # coordinates outside the CRS's area are infinite
             return inverse.d * x + inverse.e * y - 0.5, inverse.a * x + inverse.b * y - 0.5
 
     def covers(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
-        """Whether coordinates in the raster's CRS lie on it (longitudes taken round the earth)."""
+        """Return whether coordinates in the raster's CRS lie on the raster, with longitudes wrapped."""
         row, col = self.cell_of(self._round_earth(x), y)
         inside = (row >= -0.5) & (row <= self.rows - 0.5)
         return inside if self._wrap else inside & (col >= -0.5) & (col <= self.cols - 0.5)
 
     def ground_m(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
-        """Heights in metres (float64, the shape of x) at coordinates in the raster's CRS; NaN off its surface.
+        """Return heights in metres (float64, the shape of x) at coordinates in the raster's CRS; NaN off its surface.
 
-        Longitudes are taken round the earth. Cells are read by blocks of ``READ_BLOCK_CELLS`` a side.
+        Longitudes are wrapped. Cells are read in blocks of ``READ_BLOCK_CELLS`` a side.
         """
         height, there = self._at_points(x, y)
         return np.where(there, height, np.nan)
 
     def filled_ground_m(self, x: float | np.ndarray, y: float | np.ndarray) -> np.ndarray:
-        """As ``ground_m``, with holes filled as for casting; NaN off the raster and where nothing is near.
+        """Return the same heights as ``ground_m``, with holes filled as for casting; NaN off the raster and far from any data.
 
-        What stands on the ground takes this: ground models often have holes just where buildings are.
+        Objects on the ground use these heights: ground models often have holes just where buildings are.
         """
         return self._at_points(x, y)[0]
 
     def _round_earth(self, x: float | np.ndarray) -> float | np.ndarray:
-        """Longitudes moved by whole turns to those nearest to the raster's middle; other coordinates as they are."""
+        """Return longitudes shifted by whole turns to those nearest to the raster's centre, and other coordinates unchanged."""
         if not self.crs.is_geographic:
             return x
         middle = float(self.xy(0, (self.cols - 1) / 2)[0])
         return np.asarray(x) + 360.0 * np.rint((middle - np.asarray(x)) / 360.0)
 
     def _at_points(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Heights in metres (float64, holes filled, NaN where there are none) at coordinates, and where there is a surface."""
+        """Return heights at coordinates, metres, float64, holes filled, NaN without data nearby; and the valid mask."""
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         height, there = np.full(x.size, np.nan), np.zeros(x.size, bool)
         on = np.flatnonzero(self.covers(x, y))
@@ -233,8 +268,9 @@ class Elevation:
         return height.reshape(x.shape), there.reshape(x.shape)
 
     def cell_size_m(self, metres_per_unit: float) -> float:
-        """Side of a cell on the ground at the raster's middle, metres: the root of its area. On the globe that is not what a
-        projection's units say: Web Mercator's are twice as long at 60 degrees.
+        """Return the side of a cell on the ground at the raster's centre, metres: the square root of its area.
+
+        On the globe a projection's units may differ from it: Web Mercator's are twice as long at 60 degrees.
         """
         row, col = (self.rows - 1) / 2, (self.cols - 1) / 2
         xs, ys = self.xy(np.array([row, row, row - 0.5, row + 0.5]), np.array([col - 0.5, col + 0.5, col, col]))
@@ -250,10 +286,10 @@ class Elevation:
         return float(np.sqrt(abs(self._transform.determinant))) * metres_per_unit
 
     def heights_at(self, level: int, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Heights in metres (float32) at (fractional) cells of level 0, and where there is a surface (bool).
+        """Return heights in metres (float32) at (fractional) cells of level 0, and the valid mask (bool).
 
-        Heights are bilinear between cells of ``level`` (2**level cells of the raster a side), or those of the cells (``surface``).
-        NaN where nothing is near.
+        Heights are bilinear between cells of ``level`` (2**level raster cells a side), or those of the cells themselves if
+        ``surface`` is blocks. NaN means no data nearby.
         """
         from skugga.terrain.ground.cells import cell_heights  # here: who asks for no height needs no compiler
         from skugga.terrain.ground.elevation_loops import bilinear, on_level
@@ -278,11 +314,14 @@ class Elevation:
         return self._above_water(height), there
 
     def _above_water(self, height_m: np.ndarray) -> np.ndarray:
-        """The surface over ground (float32): water where it is higher, NaN where there is no ground."""
+        """Return the surface over ground, float32: water where it is higher, NaN where the ground is missing."""
         return height_m if self.water_m == -np.inf else np.maximum(height_m, np.float32(self.water_m))
 
     def _filled(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[np.ndarray, np.ndarray]:
-        """Cells of a window, holes filled from a rim of ``FILL_CELLS``, so that the fill is the same in every window."""
+        """Return the cells of a window with holes filled, and which cells are valid.
+
+        The fill reads a rim of ``FILL_CELLS``, so it is the same in every window.
+        """
         values = self._read(level, row0, row1, col0, col1)
         valid = np.isfinite(values)
         if valid.all():
@@ -290,7 +329,7 @@ class Elevation:
         rows, cols = self._level_shape(level)
         top, bottom = max(row0 - FILL_CELLS - 1, 0), min(row1 + FILL_CELLS + 1, rows)
         left, right = col0 - FILL_CELLS - 1, col1 + FILL_CELLS + 1
-        if not self._wrap:  # round the earth a hole's rim goes on beyond the last column
+        if not self._wrap:  # where columns wrap, a hole's rim continues beyond the last one
             left, right = max(left, 0), min(right, cols)
         wide = self._read(level, top, bottom, left, right)
         if np.isfinite(wide).any():
@@ -298,7 +337,7 @@ class Elevation:
         return wide[row0 - top : row1 - top, col0 - left : col1 - left], valid
 
     def _read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
-        """Heights in metres of a window of cells of a level, float32, NaN in holes."""
+        """Return heights in metres of a window of cells of a level, float32, NaN in holes."""
         if not self._wrap:
             return self._read_inside(level, row0, row1, col0, col1)
         period, (_, cols) = self._columns_of_a_turn(level), self._level_shape(level)
@@ -307,7 +346,7 @@ class Elevation:
             turn = col // period
             end = min(col1, (turn + 1) * period)
             part, first = np.full((row1 - row0, end - col), np.nan, np.float32), col - turn * period
-            known = min(end - col, cols - first)  # a raster may end a column before it meets itself
+            known = min(end - col, cols - first)  # a raster may end one column before it wraps
             if known > 0:
                 part[:, :known] = self._read_inside(level, row0, row1, first, first + known)
             parts.append(part)
@@ -327,25 +366,26 @@ class Elevation:
         return height_m.astype(np.float32)
 
     def _cells(self, window: Window, shape: tuple[int, int] | None, resampling: Resampling) -> tuple[np.ndarray, ...]:
-        """Cells as the file has them, as heights in metres, float64; which are marked as empty, and which can be heights (bool)."""
+        """Return stored cells, their heights in metres (float64), and two masks: declared empty, and plausible as heights."""
         try:
             data = self._dataset.read(1, window=window, out_shape=shape, masked=True, resampling=resampling)
         except RasterioIOError:
-            raise SourceError(self.name, "a part that cannot be read", "an undamaged file") from None
+            raise SourceError(self.name, "a part of it cannot be read", "Give an undamaged file") from None
         height_m = data.data.astype(np.float64) * self._scale + self._offset
         with np.errstate(invalid="ignore"):
             plausible = (height_m >= self._limits[0]) & (height_m <= self._limits[1])
         return data.data, height_m, np.ma.getmaskarray(data), plausible
 
     def _columns_of_a_turn(self, level: int) -> int:
-        """Cells of a level after which a raster that goes round the earth meets itself."""
+        """Return the number of cells of a level in one turn round the earth, for a raster that wraps."""
         return max(self._wrap // 2**level, 1)
 
     def _columns_of_level(self, level: int, col: np.ndarray) -> np.ndarray:
-        """(Fractional) columns of a level for those of level 0, of a raster that goes round the earth.
+        """Return (fractional) columns of a level from columns of level 0, for a raster that wraps round the earth.
 
-        There less than one cell may be left out before the first one comes again: columns from the last cell's centre to
-        the first one's are spread over that, so that a place is the same column, but for whole turns, however it is come to.
+        Less than one cell of the level may be left over at the end of a turn. Columns between the last cell's centre and the first
+        one's are stretched over that remainder. So a position has the same column, up to whole turns, from whichever side it is
+        reached.
         """
         factor, whole = 2**level, self._columns_of_a_turn(level)
         col = (col + 0.5) / factor - 0.5
@@ -372,13 +412,13 @@ class Elevation:
         )  # fmt: skip
 
     def _settle_resampling(self) -> None:
-        """After what was read by nearest cells: averages from here on, unless there was an unmarked sentinel in it."""
+        """Switch from nearest cells to averages, unless the cells read so far contain an undeclared sentinel."""
         self._resampling = Resampling.nearest if self.unmarked.any_beyond else Resampling.average
         self._settled = True
 
 
 def plausible_m(crs: CRS) -> tuple[float, float]:
-    """The lowest and the highest height, metres, that ground in a CRS can have; of an engineering CRS nothing is known."""
+    """Return the lowest and highest plausible height of ground in a CRS, metres; nearly unlimited in an engineering CRS."""
     if crs.is_engineering:
         return -1e6, 1e6
     return PLAUSIBLE_M if is_on_earth(crs) else PLAUSIBLE_ELSEWHERE_M
@@ -386,7 +426,7 @@ def plausible_m(crs: CRS) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Levels:
-    """A raster's ground for its overview. (A value of its own: what is public of ``Elevation`` is the surface.)"""
+    """Adapter of an ``Elevation`` for ``read_overview``: the ground without water (the public methods return the surface)."""
 
     of: Elevation
 

@@ -1,4 +1,4 @@
-"""Loops of an elevation: where places lie on a level of its cells, and the heights between these."""
+"""Compiled loops of ``Elevation``: transform positions to a level of detail, and interpolate heights between its cells."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from skugga.terrain.ground.extremes import widen
 
 @compiled
 def on_level(row, col, factor, rows, cols):
-    """Rows and columns on a level of ``rows`` x ``cols`` cells, for those of level 0, NaN beside it; and the least and the greatest
-    of both (2, 2), infinite without any. Where columns have no end (``cols`` infinite) they are given on the level itself.
+    """Transform rows and columns of level 0 to a level of ``rows`` x ``cols`` cells.
+
+    Returns rows and columns, NaN off the raster, and the minimum and maximum of both (2, 2), infinite if no position is on it. If
+    columns wrap (``cols`` is infinite), the given columns already are those of the level.
     """
     out_row, out_col = np.empty(row.shape), np.empty(row.shape)
-    ends = np.empty((4, row.shape[1]))  # column by column
+    ends = np.empty((4, row.shape[1]))  # minima and maxima by column
     ends[0], ends[1], ends[2], ends[3] = np.inf, -np.inf, np.inf, -np.inf
     for i in range(row.shape[0]):
         _row_on_level(row[i], col[i], factor, rows, cols, out_row[i], out_col[i])
@@ -29,7 +31,7 @@ def on_level(row, col, factor, rows, cols):
     return out_row, out_col, found
 
 
-# The next loops are written so that they compile to vector instructions. What is NaN is neither less nor greater.
+# The next loops are written so that they compile to vector instructions. Comparisons with NaN are false.
 
 
 @internal
@@ -43,8 +45,9 @@ def _row_on_level(row, col, factor, rows, cols, out_row, out_col):
 
 @compiled
 def bilinear(values, valid, whole, row, col, row0, col0):
-    """Bilinear heights at (row, col) of a window that begins at (row0, col0), clamped beyond its outer centres; and the nearest
-    cell's validity. ``whole``: all cells are valid.
+    """Return bilinear heights float32 at (row, col) of a window that begins at (row0, col0), and the nearest cells' validity.
+
+    Positions beyond the outer centres are clamped. ``whole`` is whether all cells are valid.
     """
     rows, cols = values.shape
     out = np.empty(row.shape, np.float32)
@@ -67,8 +70,9 @@ def bilinear(values, valid, whole, row, col, row0, col0):
 
 @internal
 def _cells_before(at, first, count, before, nearest, beyond):
-    """Along an axis of ``count`` cells from ``first`` on: the cell before a place and the nearest one, clamped, and the share of
-    the way to the next. Where a place is none that is NaN, and the cells are any.
+    """Find the cell before each position and the nearest cell, along an axis of ``count`` cells from ``first`` on, clamped.
+
+    ``beyond`` becomes the fraction of the way to the next cell. It is NaN for a position that is NaN, whose cells are arbitrary.
     """
     last = max(count - 2.0, 0.0)
     for j in range(at.size):
@@ -81,7 +85,7 @@ def _cells_before(at, first, count, before, nearest, beyond):
 
 @internal
 def _look_up(values, row, col, out):
-    """The values (4, n) of cells and of those right of them, and of both below."""
+    """Look up the values (4, n) of cells, of those to the right, of those below, and of those below to the right."""
     rows, cols = values.shape
     for j in range(row.size):
         r, c = row[j], col[j]
@@ -91,7 +95,7 @@ def _look_up(values, row, col, out):
 
 @internal
 def _between(north_west, north_east, south_west, south_east, down, across, out):
-    """Between four cells; what a place is not beyond plays no part, though it be missing."""
+    """Interpolate between four cells. A neighbour of weight 0 is ignored, even if it is NaN."""
     for j in range(out.size):
         north, south = np.float64(north_west[j]), np.float64(south_west[j])
         east, south_of_it = np.float64(north_east[j]), np.float64(south_east[j])

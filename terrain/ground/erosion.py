@@ -1,12 +1,12 @@
-"""Valleys cut by rivers: uplift against stream-power incision until the ground is drained everywhere.
+"""Erode valleys by rivers: uplift and stream-power incision, until the ground drains everywhere.
 
-The rule is dz/dt = U - K A^0.5 S (A drained area, S slope), solved implicitly along the drainage tree: J. Braun and
-S. D. Willett (2013), "A very efficient O(n), implicit and parallel method to solve the stream power equation", Geomorphology
-180-181:170-179. The tree comes from a priority flood from the rim, so that nothing ends in a pit: R. Barnes et al. (2014),
-"Priority-flood", Computers & Geosciences 62:117-127. A constant is added to A, below which slopes are those of hillsides.
+The equation is dz/dt = U - K A^0.5 S (A drained area, S slope), solved implicitly along the drainage tree: J. Braun and S. D.
+Willett (2013), "A very efficient O(n), implicit and parallel method to solve the stream power equation", Geomorphology
+180-181:170-179. A priority flood from the rim builds the tree, so no path ends in a pit: R. Barnes et al. (2014), "Priority-flood",
+Computers & Geosciences 62:117-127. A constant is added to A, below which slopes are those of hillsides.
 
-Main valleys find their way on a coarse grid, their tributaries on finer ones. Each refinement shifts the ground sideways by
-noise: rivers that could run in eight directions alone come to wind.
+Main valleys form on a coarse grid, their tributaries on finer ones. Each refinement displaces the ground sideways by noise, so
+rivers meander instead of following eight directions.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from skugga.terrain.ground.noise import fractal_at
 from skugga.terrain.interpolation_loops import cell_before, lerp_corners
 
 TIME_STEPS = (40, 20, 12, 8, 6)
-"""Steps of time on the coarsest grid and on those that follow; the last figure for all finer ones."""
+"""Time steps on the coarsest grid and on each finer one; the last number holds for all further grids."""
 
 TIME_STEP = 0.25
-"""Of the time in which uplift of 1 raises ground by its own longest side (K is 1)."""
+"""Length of a step, in units of the time in which an uplift of 1 raises the ground by its longest side (K is 1)."""
 
 HILLSIDE_AREA = 1e-3
-"""Share of the ground's squared side that drains through a channel's head."""
+"""Area that drains through a channel's head, as a share of the square of the ground's longest side."""
 
 CREEP = 0.1
-"""Share of the way to its neighbours' mean that a cell moves in a step: soil creep, which rounds crests."""
+"""Soil creep, which rounds crests: the fraction of the way to its neighbours' mean that a cell moves in a step."""
 
 LAST_CREEP = 6
-"""Steps of creep alone at the end: what has been cut along eight directions loses its straight edges."""
+"""Final steps of creep alone: they soften the straight edges of channels cut along eight directions."""
 
 SHIFT_CELLS, SHIFT_WAVE_CELLS = 1.8, 3.1
-"""How far, and by noise of which wavelength, the ground is shifted when it is refined; in cells of the coarser grid."""
+"""Displacement of the ground at a refinement, and the wavelength of its noise, in cells of the coarser grid."""
 
 
 def drained(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> np.ndarray:
-    """Ground (rows, cols) float64 that rivers have cut, in units of its longest side.
+    """Return ground (rows, cols) float64 that rivers have eroded, in units of its longest side.
 
-    Starts from ``start``, is lifted by ``uplift`` (both on the coarsest grid, two nodes a side at least), and is refined
-    ``halvings`` times: n nodes a side become 2 n - 1. The rim stays where it is: rivers leave the ground there.
+    Starts from ``start`` and lifts it by ``uplift``, both on the coarsest grid with at least two nodes a side. Refines the grid
+    ``halvings`` times: n nodes a side become 2 n - 1. The rim keeps its height: rivers leave the ground there.
     """
     height, side = start.copy(), max(start.shape) - 1.0
     for level in range(halvings + 1):
@@ -60,7 +60,10 @@ def drained(start: np.ndarray, uplift: np.ndarray, halvings: int, seed: int) -> 
 
 @compiled
 def drainage(height):
-    """Cells from the outlets up (n,), and for each cell (flat index) the one that it drains into (n,); the rim into itself."""
+    """Return the cells in order from the outlets upstream (n,), and the receiver of each cell (n,), as flat indices.
+
+    A receiver is the cell that a cell drains into. Cells of the rim drain into themselves.
+    """
     rows, cols = height.shape
     order = np.empty(rows * cols, np.int64)
     receiver = np.full(rows * cols, -1, np.int64)
@@ -95,7 +98,7 @@ def drainage(height):
 
 @compiled
 def _cut(height, uplift, order, receiver, cell):
-    """One step of uplift and incision, in place; ``cell`` is a cell's side."""
+    """Apply one step of uplift and incision in place; ``cell`` is a cell's side."""
     flat, lift, cols = height.ravel(), uplift.ravel(), height.shape[1]
     area = np.full(flat.shape[0], cell * cell)
     for k in range(order.shape[0] - 1, -1, -1):
@@ -121,7 +124,10 @@ def _creep(height):
 
 @compiled
 def _refined(coarse, shift, seed):
-    """A grid of (2 m - 1, 2 n - 1) nodes, bilinear between the (m, n) given at places shifted by noise, the rim unshifted."""
+    """Return a grid of (2 m - 1, 2 n - 1) nodes, interpolated bilinearly in (m, n) nodes at positions displaced by noise.
+
+    The rim is not displaced.
+    """
     rows, cols = coarse.shape
     fine = np.empty((2 * rows - 1, 2 * cols - 1))
     for i in range(2 * rows - 1):

@@ -1,4 +1,4 @@
-"""The least and the greatest of many rows of values, column by column."""
+"""Running minima and maxima over many rows of values, column by column."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from skugga.terrain.compiled import internal
 
 @internal
 def widen(values, least, most):
-    """Let ``least`` and ``most`` (all of the same length) reach as far as ``values``, place by place. NaN changes nothing.
+    """Extend the ranges from ``least`` to ``most`` so that they include ``values``, element by element. NaN changes nothing.
 
-    Written so that it compiles to vector instructions: NaN is neither less nor greater.
+    All arrays have the same length. The loop compiles to vector instructions: comparisons with NaN are false.
     """
     for j in range(values.size):
         value = values[j]

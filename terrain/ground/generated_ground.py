@@ -1,8 +1,10 @@
-"""Ground that is made, not read: a flat floor, mountains and a small landscape, in an engineering CRS in metres.
+"""Generate ground procedurally: a flat floor, mountains or a small landscape, in an engineering CRS in metres.
 
-Cell centres are the ground's nodes: ``cells`` quads a side need one more raster cell a side, and the outermost centres lie on
-the rim of ``size``. The middle is at (0, 0). The same seed gives the same ground on any machine: random numbers are integer
-hashes, and arithmetic is addition, multiplication, division and square roots, which IEEE 754 rounds in one way.
+Cell centres are the ground's nodes: ``cells`` quads a side need one more raster cell a side, and the outermost centres lie on the
+rim of ``size``. The centre is at (0, 0).
+
+The same seed gives the same ground on any machine. Random numbers are integer hashes, and the arithmetic uses only addition,
+multiplication, division and square roots, whose rounding IEEE 754 defines.
 """
 
 from __future__ import annotations
@@ -24,37 +26,44 @@ from skugga.terrain.level.parts import FlatGround, GeneratedGround, Terrain
 ENGINEERING = 'ENGCRS["made ground",EDATUM["made ground"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]'
 
 STRIP_ROWS = 128
-"""Rows that a thread works out at a time."""
+"""Rows that a thread computes at a time."""
 
 COARSEST_CELLS = 48
 """Cells along the longest side of the grid on which main valleys form."""
 
 MOST_HALVINGS = 4
-"""Rivers are followed to cells of 1/768 of the side of what is made; below, slopes are roughened by noise."""
+"""Maximum number of refinements of the eroded grid.
+
+Rivers reach down to cells of 1/768 of the side of the generated ground. Finer slopes get their roughness from noise.
+"""
 
 SURROUNDINGS = 1.5
-"""Side of the ground that is made, as a multiple of the part that is shown: valleys lead out of the picture."""
+"""Side of the generated ground as a multiple of the part shown: valleys lead out of the image."""
 
 WINDING_CELLS, WINDING_WAVE_CELLS = 1.1, 7.3
-"""How far, and by noise of which wavelength, the eroded ground is shifted sideways, in its cells: rivers run in eight directions
-on it."""
+"""Sideways displacement of the eroded ground and the wavelength of its noise, in cells of the eroded grid.
+
+The eroded rivers run in only eight directions.
+"""
 
 GULLY_CELLS, GULLY_SHARE = 3.0, 0.05
 """Wavelength of the first octave of roughness, in cells of the eroded grid; its height as a share of wavelength times slope."""
 
 SEDIMENT, SEDIMENT_BLEND, LAKE_SHARE = (0.13, 0.07), 0.05, 0.05
-"""The ``landscape``'s valley fill: mean height and its variation, and how softly it meets the hills, as shares of the relief;
-and the share of the ground that the lake covers."""
+"""Valley fill of ``landscape``: its mean height and variation, its blend width to the hills, and the lake's share of the ground.
+
+Heights and width are shares of the relief.
+"""
 
 
 def generated_ground(terrain: Terrain) -> MemoryFile:
-    """The raster of ``terrain.flat`` or ``terrain.generate`` in memory: heights in metres, float32; kept between calls.
+    """Return the raster of ``terrain.flat`` or ``terrain.generate`` in memory: heights in metres, float32. Results are cached.
 
-    Ground that is generated runs from height 0 to ``relief``. ``ridges`` are mountains that rivers have cut; ``landscape`` has
-    hills, a few peaks, and filled valleys with a lake at height 0.
+    Generated heights run from 0 to ``relief``. ``ridges`` are mountains eroded by rivers. ``landscape`` has hills, a few peaks, and
+    filled valleys with a lake at height 0.
     """
     spec = terrain.flat or terrain.generate
-    assert spec is not None, "ground that is read is not made"
+    assert spec is not None, "terrain has neither flat nor generate"
     return _made(spec)
 
 
@@ -72,7 +81,7 @@ def _made(spec: FlatGround | GeneratedGround) -> MemoryFile:
 
 
 def _raster(heights: np.ndarray, dx: float, dy: float) -> MemoryFile:
-    """A GeoTIFF in memory of heights (rows, cols) from north to south whose middle is the origin."""
+    """Return an in-memory GeoTIFF of heights (rows, cols), metres, from north to south, centred on the origin."""
     rows, cols = heights.shape
     memory = MemoryFile(ext=".tif")
     with memory.open(
@@ -84,12 +93,12 @@ def _raster(heights: np.ndarray, dx: float, dy: float) -> MemoryFile:
 
 
 def _ridges(rows: int, cols: int, seed: int) -> np.ndarray:
-    """Mountains in massifs (rows + 1, cols + 1) float32; their heights only in proportion."""
+    """Return mountains in massifs (rows + 1, cols + 1) float32, up to a linear scale."""
     return _risen(rows, cols, seed, lambda x, y: np.maximum(0.55 + 0.9 * fractal(2.2 * x, 2.2 * y, 2, seed), 0.05))
 
 
 def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
-    """Hills, a few peaks, and valleys filled up to flat floors (rows + 1, cols + 1) float32; heights only in proportion."""
+    """Return hills, a few peaks, and valleys filled to flat floors (rows + 1, cols + 1) float32, up to a linear scale."""
 
     def uplift(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         peaks = np.maximum(fractal(1.7 * x, 1.7 * y, 2, seed + 1), 0.0)
@@ -106,13 +115,13 @@ def _landscape(rows: int, cols: int, seed: int) -> np.ndarray:
 
 
 def _risen(rows: int, cols: int, seed: int, uplift: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-    """Ground (rows + 1, cols + 1) float32 that was lifted and cut by rivers.
+    """Return ground (rows + 1, cols + 1) float32 that was uplifted and eroded by rivers.
 
-    ``uplift`` is asked for over columns x (n,) and rows y (m,), in longest sides of what is shown.
+    ``uplift`` is a function of columns x (n,) and rows y (m,), in units of the longest side of the part shown.
     """
     longest = max(rows, cols)
     halvings = int(np.clip(np.ceil(np.log2(longest * SURROUNDINGS / COARSEST_CELLS)), 0, MOST_HALVINGS))
-    # The shorter side gets its share of the cells, but enough for a valley.
+    # The shorter side gets cells in proportion, but enough for a valley.
     nodes_y, nodes_x = (max(round(COARSEST_CELLS * cells / longest), 4) + 1 for cells in (rows, cols))
     x, y = (np.arange(n) * (SURROUNDINGS / COARSEST_CELLS) for n in (nodes_x, nodes_y))
     start = 0.02 * fractal(6.0 * x, 6.0 * y, 3, seed + 10)
@@ -124,7 +133,7 @@ def _risen(rows: int, cols: int, seed: int, uplift: Callable[[np.ndarray, np.nda
 
 
 def _by_strips(function: Callable[..., None], rows: int, cols: int, *parameters: Any) -> np.ndarray:
-    """``function(out, row0, *parameters)`` fills each strip of nodes (rows + 1, cols + 1) float32, in threads."""
+    """Return an array (rows + 1, cols + 1) float32 whose strips ``function(out, row0, *parameters)`` fills in threads."""
     out = np.empty((rows + 1, cols + 1), np.float32)
     on_cores(lambda row: function(out[row : row + STRIP_ROWS], row, *parameters), range(0, rows + 1, STRIP_ROWS))
     return out
@@ -132,14 +141,14 @@ def _by_strips(function: Callable[..., None], rows: int, cols: int, *parameters:
 
 @internal
 def _cubic(a, b, c, d, t):
-    """Catmull and Rom's cubic between b (t = 0) and c (t = 1), and its slope."""
+    """Return the Catmull-Rom cubic between b (t = 0) and c (t = 1), and its slope."""
     p, q, r = 0.5 * (c - a), a - 2.5 * b + 2.0 * c - 0.5 * d, 0.5 * (d - a) + 1.5 * (b - c)
     return b + t * (p + t * (q + t * r)), p + t * (2.0 * q + 3.0 * t * r)
 
 
 @compiled
 def _roughened(out, row0, eroded, first_row, first_col, scale, octaves, seed):
-    """Eroded ground between its nodes, with gullies and knolls of ridged noise where it is steep."""
+    """Fill ``out`` with eroded ground between its nodes, with gullies and knolls of ridged noise on steep slopes."""
     rows, cols = eroded.shape
     line, slant = np.empty(4), np.empty(4)
     for i in range(out.shape[0]):

@@ -1,4 +1,4 @@
-"""Positions that people write: degrees and metres above the ground, or metres on a made ground."""
+"""Convert positions as users write them: degrees and metres above the ground, or metres in a flat world."""
 
 from __future__ import annotations
 
@@ -14,15 +14,23 @@ from skugga.terrain.ground.elevation import Elevation
 
 @dataclass(frozen=True, eq=False)
 class Geolocator:
-    """Finds places of a level: on the globe (longitude, latitude) in degrees, in a flat world (east, north) in metres
-    from the anchor.
+    """Locates positions on a level's ground.
+
+    Positions are (longitude, latitude) in degrees on the globe, and (east, north) in metres from the anchor in a flat world.
+
+    Attributes
+    ----------
+    world
+        The level's world.
+    elevation
+        The level's raster of heights.
     """
 
     world: World
     elevation: Elevation
 
     def xy(self, at: tuple[float, float]) -> tuple[float, float]:
-        """Coordinates in the elevation's CRS."""
+        """Return the coordinates of a position in the elevation's CRS."""
         if self.world.flat:
             scale = 1.0 / self.world.metres_per_unit
             return self.world.anchor_x + at[0] * scale, self.world.anchor_y + at[1] * scale
@@ -30,28 +38,28 @@ class Geolocator:
         return float(x), float(y)
 
     def ground_m(self, at: tuple[float, float]) -> float:
-        """The ground's height at a place, metres; NaN off its data."""
+        """Return the ground's height at a position, metres; NaN off its data."""
         x, y = self.xy(at)
         return float(self.elevation.ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
 
     def at_height(self, at: tuple[float, float], height_m: float) -> tuple[np.ndarray, np.ndarray]:
-        """Earth-fixed point (3,) at a place and a height above the datum, and the vertical there."""
+        """Return the earth-fixed point (3,) at a position and a height above the datum, and the unit up vector there."""
         x, y = self.xy(at)
         point, up = self.world.ground(self.elevation.crs, np.float64(x), np.float64(y))
         return point + height_m * up, up
 
     @property
     def extent(self) -> str:
-        """The terrain's bounds, as positions are written."""
+        """The terrain's bounds as text, in the units of positions."""
         bounds = np.array(self.elevation.bounds)
         if self.world.flat:
             bounds = (bounds - np.tile([self.world.anchor_x, self.world.anchor_y], 2)) * self.world.metres_per_unit
         return bounds_text(bounds, self.elevation.crs)
 
     def above_ground(self, position: tuple[float, float, float], where: str) -> tuple[np.ndarray, np.ndarray]:
-        """Earth-fixed point (3,) at a height above the ground at a place, and the vertical there.
+        """Return the earth-fixed point (3,) at a position and a height above the ground, and the unit up vector there.
 
-        Raises ``LevelError``, naming ``where``, off the ground's data.
+        Raises ``LevelError`` with the name ``where`` off the ground's data.
         """
         ground_m = self.ground_m(position[:2])
         if not np.isfinite(ground_m):
@@ -60,7 +68,7 @@ class Geolocator:
 
 
 def bounds_text(bounds: np.ndarray | tuple[float, ...], crs: CRS) -> str:
-    """West, south, east, north for a person: degrees where there are any."""
+    """Return west, south, east and north as text: in degrees where the CRS is on the globe."""
     if not crs.is_engineering:
         west, south, east, north = bounds
         bounds = transformer(crs, LONGITUDE_LATITUDE).transform_bounds(west, south, east, north, densify_pts=21)

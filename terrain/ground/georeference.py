@@ -1,4 +1,4 @@
-"""Where a raster says that it lies: its CRS, and whether its coordinates can be ones of that CRS."""
+"""Read a raster's georeference: its CRS, and whether its coordinates can be ones of that CRS."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from skugga.terrain.errors import SourceError
 from skugga.terrain.geo.axes import axes_of
 
 MOST_LATITUDE_DEG = 91.0
-"""Files overshoot the poles by a cell."""
+"""Files overshoot the poles by up to a cell."""
 
 MOST_LONGITUDE_DEG = 540.0
 
 DEGREES_CELL = 0.02
-"""Cells smaller than this, in units of a projected CRS, are no cells of a map of ground if they lie where degrees do."""
+"""Cell size, in units of a projected CRS, below which coordinates in the range of degrees are probably degrees."""
 
 MOST_CELL_M = 50_000.0
-"""Side of a cell in a projected CRS: a block of a thousand of them goes round the earth."""
+"""Maximum side of a cell in a projected CRS, metres: a block of a thousand such cells reaches round the earth."""
 
 TO_STATE_IT = "gdal_edit.py -a_srs EPSG:CODE FILE states it"
 
 
 def check_geotransform(source: str, dataset: rasterio.DatasetReader) -> None:
-    """Raise ``SourceError`` for a raster whose cells lie where points or polynomials say: it has to be warped first."""
+    """Raise ``SourceError`` for a raster that only control points, RPCs or coordinate arrays locate: it needs warping first."""
     if not dataset.transform.is_identity:
         return
     points = len(dataset.gcps[0])
@@ -37,21 +37,23 @@ def check_geotransform(source: str, dataset: rasterio.DatasetReader) -> None:
     }
     for way, (there, option) in ways.items():
         if there:
-            needed = f"a raster with a geotransform ('gdalwarp{option} -t_srs EPSG:CODE {source} OUT.tif' makes one)"
-            raise SourceError(source, f"{way} and no geotransform", needed)
+            needed = f"Give a raster with a geotransform ('gdalwarp{option} -t_srs EPSG:CODE {source} OUT.tif' makes one)"
+            raise SourceError(source, f"it has {way} and no geotransform", needed)
 
 
 def check_cells(source: str, dataset: rasterio.DatasetReader) -> None:
-    """Raise ``SourceError`` for cells without a place or without a size."""
+    """Raise ``SourceError`` for cells of infinite coordinates or of zero size."""
     if not np.isfinite(tuple(dataset.transform)).all() or dataset.transform.determinant == 0:
-        raise SourceError(source, f"the geotransform {tuple(dataset.transform)[:6]}", "cells of a size above 0")
+        problem = f"its geotransform {tuple(dataset.transform)[:6]} gives cells no size or no position"
+        raise SourceError(source, problem, "Give a raster with cells of a size above 0")
 
 
 def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
-    """The CRS of an open raster that lies somewhere in it, without its vertical axis: what is written in it has heights of its own.
+    """Return the horizontal CRS of an open raster, after checking that the raster's coordinates fit it.
 
-    Raises ``SourceError`` where it has none, no place in it, or coordinates of another kind: metres in a CRS in degrees, or
-    degrees in one in metres or feet.
+    The vertical axis is dropped: positions in this CRS have heights of their own. Raises ``SourceError`` if the raster has no CRS
+    or no position in it, or if its coordinates are of another kind: metres in a CRS in degrees, or degrees in one in metres or
+    feet.
     """
     check_geotransform(source, dataset)
     gt, (rows, cols) = dataset.transform, dataset.shape
@@ -65,32 +67,35 @@ def crs_of(source: str, dataset: rasterio.DatasetReader) -> CRS:
     where = f"x from {west:.7g} to {east:.7g} and y from {south:.7g} to {north:.7g}"
     if dataset.crs is None:
         guess = "; its coordinates may be degrees: EPSG:4326" if like_degrees and small and not gt.is_identity else ""
-        raise SourceError(source, "no coordinate reference system", f"a raster with a CRS ({TO_STATE_IT}{guess})")
+        raise SourceError(source, "it has no coordinate reference system", f"Give a raster with a CRS ({TO_STATE_IT}{guess})")
     try:
         crs = CRS.from_user_input(dataset.crs.to_wkt())
     except (CRSError, RasterioError):
-        raise SourceError(source, "a CRS that PROJ does not understand", "a raster with a CRS") from None
+        raise SourceError(source, "PROJ does not know its CRS", "Give a raster with a CRS that PROJ knows") from None
     first_axis = crs.axis_info[0].name.lower() if crs.axis_info else ""
     if crs.is_geocentric or crs.type_name == "Vertical CRS" or not first_axis or "planetocentric" in first_axis:
-        raise SourceError(source, crs.name, "a projected, geographic or engineering CRS, of geodetic latitudes")
+        needed = "Give a raster in a projected, geographic or engineering CRS with geodetic latitudes"
+        raise SourceError(source, f"its CRS {crs.name} is of an unsupported kind", needed)
     if gt.is_identity and not crs.is_engineering:
-        raise SourceError(source, "not georeferenced", "a raster with a geotransform")
+        raise SourceError(source, "it is not georeferenced", "Give a raster with a geotransform")
     check_cells(source, dataset)
     west, south, east, north = axes_of(crs).bounds_xy((west, south, east, north))
     if crs.is_geographic and not (max(-west, east) <= MOST_LONGITUDE_DEG and max(-south, north) <= MOST_LATITUDE_DEG):
         unit = crs.axis_info[0].unit_name
         whole = "degrees, latitudes from -90 to 90" if unit.startswith("degree") else f"coordinates in its unit, the {unit}"
         raise SourceError(
-            source, f"{where} in {crs.name}",
-            f"{whole}; or the CRS that these coordinates are of, as metres in a UTM zone ({TO_STATE_IT})",
+            source, f"its coordinates ({where}) lie outside its CRS {crs.name}",
+            f"Give {whole}, or state the CRS of these coordinates, such as a UTM zone for metres ({TO_STATE_IT})",
         )  # fmt: skip
     if crs.is_projected and like_degrees and small:
         unit = crs.axis_info[0].unit_name
         raise SourceError(
-            source, f"{where}, cells of {abs(gt.a) + abs(gt.b):.3g} ({unit}), in {crs.name}",
-            f"coordinates of that CRS; these look like degrees, as of EPSG:4326 ({TO_STATE_IT})",
+            source,
+            f"its coordinates ({where}, cells of {abs(gt.a) + abs(gt.b):.3g} ({unit})) look like degrees, not {crs.name}",
+            f"Give coordinates of that CRS, or state the CRS of these, such as EPSG:4326 ({TO_STATE_IT})",
         )  # fmt: skip
     unit_m = float(crs.axis_info[0].unit_conversion_factor or 1.0)
     if crs.is_projected and (cell_m := float(np.sqrt(abs(gt.determinant))) * unit_m) > MOST_CELL_M:
-        raise SourceError(source, f"cells of {cell_m / 1000.0:.4g} km", f"at most {MOST_CELL_M / 1000.0:g} km in {crs.name}")
+        problem = f"its cells of {cell_m / 1000.0:.4g} km exceed the limit of {MOST_CELL_M / 1000.0:g} km in {crs.name}"
+        raise SourceError(source, problem, "Check its geotransform and its CRS")
     return crs.to_2d() if len(crs.axis_info) == 3 else crs

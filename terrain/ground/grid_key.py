@@ -1,4 +1,4 @@
-"""A cheap part of cache keys for a grid over a scene's ground."""
+"""A cheap part of cache keys that stands for a grid over a scene's ground."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from skugga.terrain.ground.elevation import Elevation
 
 
 class GridKey:
-    """Stands for a grid over a scene's ground in cache keys: it is compared by identity, where a grid's CRS compares slowly."""
+    """Cache-key part for a grid over a scene's ground. It compares by identity; comparing a grid's CRS is slow."""
 
 
 @cached("scene", MIB, size_of=lambda _: 512)
 def grid_key(world: World, elevation: Elevation, grid: Grid) -> GridKey:
-    """Return the key of a grid over a scene's ground: the same object each time, as long as the ground lives."""
+    """Return the key of a grid over a scene's ground: the same object each time while the ground is in memory."""
     return GridKey()

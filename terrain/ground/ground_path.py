@@ -1,4 +1,4 @@
-"""Paths over a level's ground: where what moves is at a second of the clock."""
+"""Paths over a level's ground: the position of a moving object at a time of the clock."""
 
 from __future__ import annotations
 
@@ -8,26 +8,36 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skugga.terrain.errors import Problem, LevelError
+from skugga.terrain.errors import LevelError, Problem
 from skugga.terrain.geo.keyed_curve import KeyedCurve
 from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.level.motion import Above
 
 LEAST_PLACES = 16
-"""Places between two keys at which a path is looked at, at least."""
+"""Minimum number of samples that check a path between two keys."""
 
 MOST_PLACES = 20_000
-"""Places of a path that are looked at, about, at most."""
+"""Approximate maximum number of samples that check a path."""
 
 UNDER_GROUND_M = 0.01
-"""How far below the ground is not told from on it: heights are float32."""
+"""Tolerance below the ground, metres: heights are float32."""
 
 TimedPosition = tuple[float, tuple[float, float, float]]
-"""A second of the clock, and where something is then."""
+"""A time of the clock in seconds, and the position at that time."""
 
 
 class Standpoint(NamedTuple):
-    """Where what does not move is: an earth-fixed point (3,), the vertical there, and how high above the ground, metres."""
+    """Position of an object that stands still.
+
+    Attributes
+    ----------
+    point_earth_m
+        Earth-fixed point (3,), metres.
+    up_earth
+        Unit up vector there, earth-fixed (3,).
+    above_ground_m
+        Height above the ground, metres.
+    """
 
     point_earth_m: np.ndarray
     up_earth: np.ndarray
@@ -36,11 +46,21 @@ class Standpoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GroundPath:
-    """A smooth way through places with times (``skugga.terrain.geo.keyed_curve``). Height has a curve of its own, so that it never
-    leaves the heights of the keys before and after: what drives from key to key on the ground stays on it.
+    """A smooth curve through timed positions (``skugga.terrain.geo.keyed_curve``).
 
-    ``plan`` are earth-fixed points of height 0 at the keys, between which a curve runs in space; what counts of it is where it
-    stands above the earth. ``heights`` are metres ``above`` the ground there, holes filled, or above the sea.
+    Height has a curve of its own, which never leaves the heights of the neighbouring keys: an object that drives from key to key on
+    the ground stays on it.
+
+    Attributes
+    ----------
+    place
+        Locates positions on the level's ground.
+    plan
+        Curve in space through earth-fixed points of height 0 at the keys. Only its projection onto the earth counts.
+    heights
+        Curve of heights, metres, above the reference ``above``.
+    above
+        Reference of the heights: the ground with holes filled, or sea level.
     """
 
     place: Geolocator
@@ -49,38 +69,41 @@ class GroundPath:
     above: Above
 
     def at_second(self, seconds: float) -> Standpoint:
-        """Where it is at a second of the clock."""
+        """Return the position at a time of the clock, in seconds."""
         point, up, height_m, ground_m = (values[0] for values in self._at(np.array([seconds])))
         return Standpoint(point + height_m * up, up, float(height_m - ground_m))
 
     def points_earth_m(self, seconds: np.ndarray) -> np.ndarray:
-        """Earth-fixed points (n, 3) at seconds (n,) of the clock."""
+        """Return earth-fixed points (n, 3), metres, at times (n,) of the clock, in seconds."""
         point, up, height_m, _ = self._at(seconds)
         return point + height_m[:, None] * up
 
     def azimuth_deg(self, seconds: float) -> float:
-        """The way that it goes, seen from above: degrees clockwise from north (from the grid's in a flat world)."""
+        """Return the direction of travel seen from above, degrees clockwise from north (from grid north in a flat world)."""
         point, up, _, _ = self._at(np.array([seconds]))
         east, north, _ = self.plan.direction_at(seconds) @ self.place.world.earth_from_enu(point[0], up[0])
         return float(np.degrees(np.arctan2(east, north)))
 
     def check(self, name: str, may_be_under_ground: bool = False) -> None:
-        """Raise ``LevelError``, naming ``name``, where it leaves the ground's data or goes under the ground."""
+        """Raise ``LevelError`` with the name ``name`` if the path leaves the ground's data or goes under the ground."""
         seconds = self.seconds_along()
         _, _, height_m, ground_m = self._at(seconds)
         if not np.isfinite(ground_m).all():
             off = seconds[~np.isfinite(ground_m)][0]
-            raise LevelError(name, Problem(f"leaves the terrain at second {off:.6g}"), "a path over the terrain all the way")
+            raise LevelError(name, Problem(f"leaves the terrain at second {off:.6g}"), "Keep all of the path over the terrain")
         under = height_m < ground_m - UNDER_GROUND_M
         if under.any() and not may_be_under_ground:
             first = int(np.argmax(under))
             fault = (
                 f"at {height_m[first]:.2f} m at second {seconds[first]:.6g}, under the ground, which is at {ground_m[first]:.2f} m"
             )
-            raise LevelError(name, Problem(fault), "a path above the ground all the way")
+            raise LevelError(name, Problem(fault), "Keep all of the path above the ground")
 
     def seconds_along(self) -> np.ndarray:
-        """Seconds (n,) of places half a cell apart, about, from key to key; farther where they would be too many."""
+        """Return times (n,) in seconds at which the path is sampled, about every half cell, from key to key.
+
+        Samples are farther apart where more than ``MOST_PLACES`` would result.
+        """
         elevation, times_s = self.place.elevation, self.plan.times_s
         step_m = 0.5 * elevation.cell_size_m(self.place.world.metres_per_unit)
         wanted = np.linalg.norm(np.diff(self.plan.values, axis=0), axis=1) / step_m
@@ -89,7 +112,7 @@ class GroundPath:
         return np.interp(np.arange(knots[-1] + 1.0), knots, times_s)
 
     def _at(self, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Earth-fixed points (n, 3) of height 0, the verticals there, heights (n,) as drawn, and those of the ground, metres."""
+        """Return earth-fixed points (n, 3) of height 0, up vectors (n, 3), and heights (n,) of path and ground, metres."""
         world, elevation = self.place.world, self.place.elevation
         x, y, _ = world.map_position(elevation.crs, self.plan.at(seconds))
         point, up = world.ground(elevation.crs, x, y)
@@ -99,7 +122,7 @@ class GroundPath:
 
 
 def path_over_ground(keys: Sequence[TimedPosition], loop: bool, above: Above, place: Geolocator, name: str, key: str) -> GroundPath:
-    """The path through keys. Raises ``LevelError`` for one off the terrain: ``NAME.NUMBER.KEY``."""
+    """Return the path through keys. Raises ``LevelError`` with the name ``NAME.NUMBER.KEY`` for a key off the terrain."""
     world, elevation = place.world, place.elevation
     points = []
     for number, (_, position) in enumerate(keys):

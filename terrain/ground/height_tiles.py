@@ -1,4 +1,4 @@
-"""Heights of a grid's nodes in tiles that are kept: neighbouring windows, and the same one under another sun, read them once."""
+"""Cache heights of a grid's nodes in tiles: neighbouring windows, and the same window under another sun, read them once."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.grid_key import grid_key
 
 TILE_NODES = 512
-"""Side of a tile, in nodes, half a block's; tiles lie on multiples of it, counted from the grid's origin."""
+"""Side of a tile in nodes, half a block's. Tiles start at multiples of it, counted from the grid's origin."""
 
 RIM_NODES = 8
-"""Nodes round a tile that are read with it: a block with the few nodes round it takes no tile more than its own."""
+"""Nodes round a tile that are read with it, so a block with a small margin needs only its own tiles."""
 
 Heights = tuple[np.ndarray, np.ndarray]
-"""Heights float32, NaN where there is no ground, and where there is a surface, bool."""
+"""Heights float32, metres, NaN where the ground is missing; and the valid mask, bool."""
 
 _tiles: Cache[Heights | None] = Cache("skugga.terrain.ground.height_tiles", "scene", 192 * MIB)
 
@@ -34,7 +34,7 @@ def tiled_heights(
     rows: int,
     cols: int,
 ) -> Heights:
-    """What ``read(row0, col0, rows, cols)`` says of a window of a grid's nodes, of tiles that are read once."""
+    """Return the result of ``read(row0, col0, rows, cols)`` for a window of a grid's nodes, assembled from cached tiles."""
     owner = grid_key(world, elevation, grid)
     height, there = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.bool_)
     for row, top, bottom in _cuts(row0, rows):
@@ -55,7 +55,7 @@ def tiled_heights(
 
 
 def _cuts(first: int, count: int) -> list[tuple[int, int, int]]:
-    """The tiles along an axis that hold nodes, as few as there are: their numbers, and which nodes each gives, [start, stop)."""
+    """Return the fewest tiles along an axis that hold all nodes: each tile's number and its range of nodes, [start, stop)."""
     end = first + count
     low = (first + RIM_NODES) // TILE_NODES
     high = max((end - 1 - RIM_NODES) // TILE_NODES, low)

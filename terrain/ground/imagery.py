@@ -20,11 +20,11 @@ from skugga.terrain.level.rasters import open_raster
 from skugga.terrain.srgb import linear_of_srgb
 
 MAX_SIDE = 4096
-"""Longest side that imagery is read at: 48 MiB of colours; larger rasters are averaged down to it."""
+"""Longest side at which imagery is read: 48 MiB of colours. Larger rasters are averaged down to it."""
 
 
 class Imagery:
-    """An RGB raster in memory, with its averages of 2, 4, 8 ... cells. Raises ``SourceError``."""
+    """An RGB raster in memory, with mip levels: averages of 2, 4, 8, ... cells a side. Raises ``SourceError``."""
 
     def __init__(self, source: str) -> None:
         self.name = source
@@ -34,8 +34,8 @@ class Imagery:
             with dataset_with_masks(source, (1, 2, 3)) as dataset:
                 check_geotransform(source, dataset)
                 if dataset.count < 3 or dataset.crs is None:
-                    had = f"{dataset.count} bands" if dataset.count < 3 else "no coordinate reference system"
-                    raise SourceError(source, had, "a raster with a CRS and red, green and blue as its first bands")
+                    had = f"it has {dataset.count} bands" if dataset.count < 3 else "it has no coordinate reference system"
+                    raise SourceError(source, had, "Give a raster with a CRS and red, green and blue as its first bands")
                 check_cells(source, dataset)
                 factor = max(int(np.ceil(max(dataset.width, dataset.height) / MAX_SIDE)), 1)
                 shape = max(dataset.height // factor, 1), max(dataset.width // factor, 1)
@@ -47,22 +47,22 @@ class Imagery:
                 self._cell_from_crs = ~Affine(gt.a * across, gt.b * down, gt.c, gt.d * across, gt.e * down, gt.f)
         except (RasterioError, CRSError, OSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
-            raise SourceError(source, reason or "it cannot be opened", "an RGB raster that GDAL reads") from None
-        if data.dtype != dtype:  # whole numbers that have become real ones, with NaN where nothing is
+            raise SourceError(source, reason or "it cannot be opened", "Give an RGB raster that GDAL reads") from None
+        if data.dtype != dtype:  # integers were converted to floats, with NaN for nodata
             data = np.rint(np.where(valid, data, 0)).astype(dtype)
         self._levels = _averages(_linear(data, valid, source), valid)
 
     def cells(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """(Fractional) rows and columns (n, 2) float32 of map coordinates (n,); NaN where they have none.
+        """Return (fractional) rows and columns (n, 2) of map coordinates (n,); NaN where they have none.
 
-        Raises ``SourceError`` where there is no way from the map's CRS to the imagery's.
+        Raises ``SourceError`` if the map's CRS cannot be transformed into the imagery's.
         """
         try:
             if crs != self.crs and not (is_longitude_latitude(crs) and is_longitude_latitude(self.crs)):
                 x, y = transformer(crs, self.crs).transform(x, y)
         except ProjError:
-            allowed = f"a CRS that can be transformed into '{crs.name}'"
-            raise SourceError(self.name, f"its CRS '{self.crs.name}'", allowed) from None
+            problem = f"its CRS '{self.crs.name}' cannot be transformed into '{crs.name}'"
+            raise SourceError(self.name, problem, "Give imagery in another CRS") from None
         inverse = self._cell_from_crs
         x, y = np.asarray(x), np.asarray(y)
         row, col = inverse.d * x + inverse.e * y + inverse.f - 0.5, inverse.a * x + inverse.b * y + inverse.c - 0.5
@@ -70,7 +70,7 @@ class Imagery:
         return np.where(np.isfinite(out), out, np.nan)
 
     def cell_m(self, world: World) -> float:
-        """Side of a cell on the ground at the level's anchor, metres."""
+        """Return the side of a cell on the ground at the level's anchor, metres."""
         if self.crs.is_geographic:
             degree_m = np.radians(world.radius_m)
             return float(np.sqrt(abs(1.0 / self._cell_from_crs.determinant) * np.cos(np.radians(world.anchor_lat_deg)))) * degree_m
@@ -78,7 +78,7 @@ class Imagery:
         return float(np.sqrt(abs(1.0 / self._cell_from_crs.determinant))) * unit
 
     def albedo(self, cells: np.ndarray, cells_per_pixel: np.ndarray | float) -> np.ndarray:
-        """Linear albedo (rows, cols, 3) float32 at cells (rows, cols, 2): bilinear in the averages that a pixel covers.
+        """Return linear albedo (rows, cols, 3) float32 at cells (rows, cols, 2), bilinear in the mip level of a pixel's footprint.
 
         NaN off the imagery and where it has no data.
         """
@@ -91,8 +91,9 @@ class Imagery:
 
 
 def _linear(data: np.ndarray, valid: np.ndarray, source: str) -> np.ndarray:
-    """Linear colours (rows, cols, 3) float32 of bytes (sRGB), or of 16-bit numbers taken as stretched to the 98th percentile of the
-    valid ones.
+    """Return linear colours (rows, cols, 3) float32 of 8-bit sRGB values or of 16-bit values.
+
+    16-bit values are scaled so that the 98th percentile of the valid ones becomes 1.
     """
     if data.dtype == np.uint8:
         coded = data.astype(np.float32) / 255.0
@@ -101,7 +102,7 @@ def _linear(data: np.ndarray, valid: np.ndarray, source: str) -> np.ndarray:
         top = top or 1.0
         coded = np.clip(data.astype(np.float32) / top, 0.0, 1.0)
     else:
-        raise SourceError(source, str(data.dtype), "bands of 8 or 16 bits")
+        raise SourceError(source, f"its bands are of type {data.dtype}", "Give bands of 8 or 16 bits")
     return np.moveaxis(linear_of_srgb(coded), 0, -1).astype(np.float32)
 
 

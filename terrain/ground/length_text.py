@@ -1,4 +1,4 @@
-"""Lengths as files write them: numbers with a unit, or without one."""
+"""Parse lengths as files write them: numbers with or without a unit."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _FEET_INCHES = re.compile(rf"(\d+)\s*(?:'|\u2032|ft)\s*({_NUMBER})\s*(?:\"|\u203
 
 
 def unit_m(word: str) -> float | None:
-    """Return the metres of a unit; ``None`` for a word that is none."""
+    """Return the length of a unit in metres; ``None`` for an unknown word."""
     unit = unit_of_word(word)
     return None if unit is None else METRES_PER_UNIT[unit]
 
 
 def length_m(text: str, usual_m: float = 1.0) -> float:
-    """Return metres of a text, as ``12``, ``12,5``, ``12 m``, ``40 ft`` or ``7'4"``.
+    """Return the length that a text states, metres: ``12``, ``12,5``, ``12 m``, ``40 ft`` or ``7'4"``.
 
-    Where it names no unit, it is in one of ``usual_m`` metres. Raises ``ValueError`` for a text that is no length.
+    A text without a unit is in units of ``usual_m`` metres. Raises ``ValueError`` for a text that is not a length.
     """
     written = text.strip().lower()
     feet = _FEET_INCHES.fullmatch(written)

@@ -1,7 +1,7 @@
-"""Noise on a plane: the same numbers for a seed on any machine, at any place without the places round it.
+"""Gradient noise on a plane, reproducible: a seed gives the same numbers on any machine, at each position independently.
 
 Gradient noise after Perlin (1985, "An image synthesizer", SIGGRAPH 19(3):287-296) with his later quintic fade (2002, "Improving
-noise", ACM TOG 21(3):681-682), on a lattice of _hashed gradients. No transcendental function is called.
+noise", ACM TOG 21(3):681-682), on a lattice of hashed gradients. It calls no transcendental function.
 """
 
 from __future__ import annotations
@@ -11,12 +11,15 @@ import numpy as np
 from skugga.terrain.compiled import compiled, internal
 
 OCTAVE_GAIN = 0.5
-"""Amplitude of an octave as a share of the octave before."""
+"""Amplitude of an octave as a share of the previous octave's."""
 
 
 @internal
 def _hashed(i, j, seed):
-    """A lattice point's 32 bits: two rounds of the finaliser of MurmurHash3 (Appleby, public domain), with products of 64 bits."""
+    """Return the 32-bit hash of a lattice point: two rounds of MurmurHash3's finaliser (Appleby, public domain).
+
+    Products are of 64 bits.
+    """
     low = np.uint64(0xFFFFFFFF)
     h = np.uint64(np.uint32(seed)) ^ (np.uint64(np.uint32(i)) * np.uint64(0x9E3779B1))
     for k in range(2):
@@ -30,7 +33,10 @@ def _hashed(i, j, seed):
 
 @internal
 def _ramp(h, x, y):
-    """The dot product of (x, y) with one of eight gradients, none along an axis or a diagonal: that of a lattice point's bits."""
+    """Return the dot product of (x, y) with a lattice point's gradient, chosen by its hash.
+
+    The eight gradients are parallel to no axis and no diagonal.
+    """
     long = x if h & np.uint32(1) else y
     short = y if h & np.uint32(1) else x
     return (long if h & np.uint32(2) else -long) + 0.5 * (short if h & np.uint32(4) else -short)
@@ -38,7 +44,7 @@ def _ramp(h, x, y):
 
 @compiled
 def noise_at(x, y, seed):
-    """Gradient noise of wavelength 1 at a place within 2^31 of the origin: about -0.8 to 0.8, 0 at whole coordinates."""
+    """Return gradient noise of wavelength 1 at a position within 2^31 of the origin: about -0.8 to 0.8, 0 at integer positions."""
     west, low, one = np.floor(x), np.floor(y), np.int32(1)
     i, j = np.int32(west), np.int32(low)
     x, y = x - west, y - low
@@ -53,7 +59,10 @@ def noise_at(x, y, seed):
 
 @compiled
 def noise_along(x, y, seed, out):
-    """``noise_at`` of many places (n,): written out, since a loop that calls it is not compiled to vector instructions."""
+    """Fill ``out`` (n,) with ``noise_at`` of many positions.
+
+    The code repeats ``noise_at``: a loop that calls it does not compile to vector instructions.
+    """
     one = np.int32(1)
     for n in range(out.size):
         west, low = np.floor(x[n]), np.floor(y[n])
@@ -70,11 +79,14 @@ def noise_along(x, y, seed, out):
 
 @internal
 def fractal_at(x, y, octaves, seed):
-    """Octaves of gradient noise, the first of wavelength 1, about -1 to 1. Each is turned, so that no lattice shows."""
+    """Return fractal noise at a position: octaves of gradient noise, the first of wavelength 1, about -1 to 1.
+
+    Each octave is rotated, so the lattice does not show.
+    """
     total, amplitude = 0.0, 1.0
     for k in range(octaves):
         total += amplitude * noise_at(x, y, seed + k)
-        # Twice as fine and turned by the angle of the 3-4-5 triangle, whose sine and cosine are exact.
+        # Half the wavelength, rotated by the angle of the 3-4-5 triangle, whose sine and cosine are exact (0.6 and 0.8).
         x, y = 2.0 * (0.8 * x - 0.6 * y) + 17.3, 2.0 * (0.6 * x + 0.8 * y) - 9.1
         amplitude *= OCTAVE_GAIN
     return total
@@ -82,7 +94,7 @@ def fractal_at(x, y, octaves, seed):
 
 @internal
 def ridged_at(x, y, octaves, seed):
-    """Ridged multifractal noise, the first octave of wavelength 1: about 0 to 2, sharp crests, smooth floors.
+    """Return ridged multifractal noise, the first octave of wavelength 1: about 0 to 2, with sharp crests and smooth floors.
 
     Source: F. K. Musgrave, in Ebert et al., *Texturing and Modeling: A Procedural Approach* (3rd ed., 2003), chapter 16.
     """
@@ -99,7 +111,7 @@ def ridged_at(x, y, octaves, seed):
 
 @compiled
 def fractal(x, y, octaves, seed):
-    """``fractal_at`` on a grid of columns x (n,) and rows y (m,): float64 (m, n)."""
+    """Return ``fractal_at`` on a grid of columns x (n,) and rows y (m,): float64 (m, n)."""
     out = np.empty((y.shape[0], x.shape[0]))
     for i in range(y.shape[0]):
         for j in range(x.shape[0]):

@@ -1,9 +1,9 @@
-"""Rasters as they are opened: without overviews that average sentinels, with the nodata value that a level states, and with all
-their masks in force.
+"""Open rasters with all their masks applied, with a level's nodata value, and without overviews that average sentinels.
 
-A file may say in several ways which cells are empty: nodata values, a mask beside the cells (in the file or in a ``.msk``), an
-alpha band. GDAL heeds one of them, a mask before nodata before alpha, and alpha bands only of some types and places. Where a file
-says more than GDAL heeds, a virtual raster takes its place, in which the cells that any of them declares empty are nodata.
+A file may declare empty cells in several ways: nodata values, a mask beside the cells (in the file or in a ``.msk``), an alpha
+band. GDAL applies only one of them: a mask before nodata before alpha, and alpha bands only of some types and positions. If a file
+declares more than GDAL applies, a virtual raster (VRT) replaces it. In the VRT every cell that any of them declares empty is
+nodata.
 """
 
 from __future__ import annotations
@@ -24,42 +24,46 @@ from skugga.terrain.errors import SourceError
 from skugga.terrain.level.rasters import open_raster
 
 EXACT_HIGH_CELLS = 32_000_000
-"""Largest raster whose highest ground is read cell by cell, in strips, when it is opened, and which is decimated from its
-cells and not from overviews that somebody else made."""
+"""Maximum size of a raster whose maxima are read cell by cell, in strips, when it is opened.
+
+Such a raster is decimated from its cells, not from existing overviews of unknown origin.
+"""
 
 _VRT_TYPES = {
     "uint8": "Byte", "int8": "Int8", "uint16": "UInt16", "int16": "Int16", "uint32": "UInt32", "int32": "Int32",
     "uint64": "UInt64", "int64": "Int64", "float32": "Float32", "float64": "Float64",
 }  # fmt: skip
-"""GDAL's names of types of cells."""
+"""GDAL's names of cell types."""
 
 _AXIS_TAGS = ("positive", "standard_name")
-"""Of a band: what says which way its numbers grow."""
+"""Tags of a band that state the direction in which its numbers grow."""
 
 GTIFF_VERTICAL = {"GTIFF_REPORT_COMPD_CS": "YES"}
-"""GDAL leaves out the vertical CRS of a GeoTIFF 1.0, where it is not asked."""
+"""GDAL option that includes the vertical CRS of a GeoTIFF 1.0, which GDAL leaves out by default."""
 
 
 def dataset_of_heights(source: str, held: MemoryFile | None, nodata: float | None) -> rasterio.DatasetReader:
-    """Open a raster: the file ``source``, or one in memory that takes its place; a small one without its overviews, which may have
-    been made by averaging sentinels into heights. ``nodata`` is a value of cells without a height, besides the declared one.
+    """Open a raster of heights: the file ``source``, or the raster in memory ``held`` that replaces it.
 
-    Raises ``SourceError`` for a ``nodata`` that no cell can have, ``RasterioError`` and ``OSError``.
+    A small raster is opened without its overviews, which may average sentinels into heights. ``nodata`` is a value of cells without
+    a height, in addition to the declared one. Raises ``SourceError`` for a ``nodata`` that no cell can have, ``RasterioError`` and
+    ``OSError``.
     """
-    with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings():  # in an Env GDAL's remarks go to the log, not to standard error
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused by the caller with a sentence of its own
+    with rasterio.Env(**GTIFF_VERTICAL), warnings.catch_warnings():  # an Env sends GDAL's messages to the log, not to stderr
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # the caller raises an error of its own
         dataset = _open(source) if held is None else held.open()
         if nodata is not None and dataset.count and dataset.dtypes[0] in _VRT_TYPES:
             dtype = np.dtype(dataset.dtypes[0])
             if dtype.kind in "iu" and not (float(nodata).is_integer() and np.iinfo(dtype).min <= nodata <= np.iinfo(dtype).max):
-                raise SourceError(f"{source}: nodata", f"{nodata:g}", f"a value that its cells can have, of the type {dtype}")
+                problem = f"{nodata:g} is no value of its type {dtype}"
+                raise SourceError(f"{source}: nodata", problem, "Give a value that its cells can have")
             with np.errstate(over="ignore"):
-                nodata = float(np.asarray(nodata, np.float64).astype(dtype))  # -3.4028235e+38 is none of 32 bits as it stands
+                nodata = float(np.asarray(nodata, np.float64).astype(dtype))  # -3.4028235e+38 itself is not a float32
         return _with_all_masks(dataset, (1,), nodata)
 
 
 def dataset_with_masks(source: str, bands: Sequence[int] = (1,)) -> rasterio.DatasetReader:
-    """Open a raster whose ``bands``, the first ones, are masked by all that its file says of empty cells.
+    """Open a raster whose ``bands``, the first ones, are masked by everything that declares cells empty.
 
     Raises ``SourceError``, ``RasterioError`` and ``OSError``.
     """
@@ -69,12 +73,13 @@ def dataset_with_masks(source: str, bands: Sequence[int] = (1,)) -> rasterio.Dat
 
 
 def impossible_nodata(dataset: rasterio.DatasetReader) -> str | None:
-    """The nodata value that an open raster's first band declares, in words, where no cell of its type can have it, as NaN among
-    whole numbers; else ``None``.
+    """Return the nodata value of an open raster's first band as text if no cell of its type can have it, else ``None``.
+
+    An example is NaN in a band of integers.
     """
     if np.dtype(dataset.dtypes[0]).kind not in "iu" or dataset.nodatavals[0] is not None:
         return None
-    with rasterio.Env(), MemoryFile(ext=".vrt") as held:  # rasterio hides such a value, a virtual raster's text does not
+    with rasterio.Env(), MemoryFile(ext=".vrt") as held:  # rasterio hides such a value, the text of a VRT does not
         copy(dataset, held.name, driver="VRT")
         band = ElementTree.fromstring(held.read()).find("VRTRasterBand")
     return None if band is None else band.findtext("NoDataValue")
@@ -89,16 +94,16 @@ def _open(source: str) -> rasterio.DatasetReader:
 
 
 def _with_all_masks(dataset: rasterio.DatasetReader, bands: Sequence[int], nodata: float | None) -> rasterio.DatasetReader:
-    """A dataset, or a virtual raster in its place, of which ``read`` masks all that is empty; ``nodata`` is a further value."""
+    """Return a dataset whose ``read`` masks all empty cells: the given one, or a VRT. ``nodata`` is a further empty value."""
     if dataset.count < max(bands) or any(dataset.dtypes[band - 1] not in _VRT_TYPES for band in bands):
         return dataset
-    if dataset.gcps[0] or dataset.rpcs is not None:  # refused by who needs a geotransform
+    if dataset.gcps[0] or dataset.rpcs is not None:  # callers that need a geotransform raise an error
         return dataset
     flags = dataset.mask_flag_enums[0]
     alpha = next((number for number, meaning in enumerate(dataset.colorinterp, 1) if meaning == ColorInterp.alpha), None)
     parts: list[_Part] = []
     if alpha is not None and alpha not in bands and MaskFlags.alpha not in flags:
-        parts.append(_Part(dataset.name, str(alpha), lut="0:0,1:255"))  # of real numbers, shares of 1
+        parts.append(_Part(dataset.name, str(alpha), lut="0:0,1:255"))  # the lookup table interpolates real values
     if MaskFlags.nodata not in flags and any(dataset.nodatavals[band - 1] is not None for band in bands):
         parts.append(_any_mask(dataset, _virtual(dataset, bands, dataset.name), bands))
     if not parts and nodata is None:
@@ -116,8 +121,18 @@ def _with_all_masks(dataset: rasterio.DatasetReader, bands: Sequence[int], nodat
 
 @dataclass(frozen=True)
 class _Part:
-    """What a virtual band is made of: a band (a number, or ``mask,1`` for the mask of the first) of a raster, or of a virtual one's
-    text. ``exact``: its overviews are not looked at. ``lut`` are values and what they become.
+    """A source of a band of a VRT.
+
+    Attributes
+    ----------
+    name
+        The raster's file name, or the text of a VRT.
+    band
+        A band number, or ``mask,1`` for the mask of the first band.
+    exact
+        Whether the raster's overviews are ignored.
+    lut
+        Lookup table: values and their replacements.
     """
 
     name: str
@@ -135,11 +150,11 @@ def _virtual(
     masked: bool = False,
     exact: bool = True,
 ) -> str:
-    """A GDAL virtual raster of bands of ``name``, a raster with a dataset's cells, in which what is empty has the nodata value.
+    """Return a VRT of bands of the raster ``name`` in which empty cells have the nodata value.
 
-    That is ``nodata``, else each band's own, else NaN, for which whole numbers become real ones. ``masked``: the source's mask says
-    what is empty, else the bands' values. (GDAL averages without what is empty where a virtual band has nodata, not where it has a
-    mask.)
+    ``name`` has the cells of ``dataset``. The nodata value is ``nodata``, or else each band's own, or else NaN, for which integers
+    become floats. If ``masked``, the source's mask defines the empty cells, otherwise the bands' values do. (GDAL averages without
+    empty cells if a VRT band has nodata, but not if it has a mask.)
     """
     root = _root(dataset)
     for number in bands:
@@ -169,7 +184,7 @@ def _virtual(
 
 
 def _any_mask(dataset: rasterio.DatasetReader, name: str, bands: Sequence[int]) -> _Part:
-    """A mask of a raster with a dataset's cells that is 0 where the masks of all its bands are."""
+    """Return a mask of a raster with a dataset's cells: 0 where the masks of all its bands are 0."""
     if len(bands) == 1:
         return _Part(name, f"mask,{bands[0]}")
     root = _root(dataset)
@@ -178,7 +193,7 @@ def _any_mask(dataset: rasterio.DatasetReader, name: str, bands: Sequence[int]) 
 
 
 def _masked(dataset: rasterio.DatasetReader, bands: Sequence[int], masks: Sequence[_Part]) -> str:
-    """A GDAL virtual raster of a raster's bands as they are, whose mask is 0 where any of some masks is."""
+    """Return a VRT of a raster's bands, unchanged, whose mask is 0 where any of the given masks is 0."""
     root = _root(dataset)
     for number in bands:
         band = ElementTree.SubElement(root, "VRTRasterBand", dataType=_VRT_TYPES[dataset.dtypes[number - 1]], band=str(number))
@@ -198,7 +213,7 @@ def _root(dataset: rasterio.DatasetReader) -> ElementTree.Element:
 
 
 def _add_derived(root: ElementTree.Element, dataset: rasterio.DatasetReader, function: str, parts: Sequence[_Part]) -> None:
-    """Add a band of bytes: another one, or made from some by a function of GDAL's."""
+    """Add a band of bytes: a copy of one part, or a GDAL pixel function of several."""
     band = ElementTree.SubElement(root, "VRTRasterBand", dataType="Byte")
     if len(parts) > 1:
         band.set("subClass", "VRTDerivedRasterBand")
@@ -210,7 +225,7 @@ def _add_derived(root: ElementTree.Element, dataset: rasterio.DatasetReader, fun
 def _add_source(
     band: ElementTree.Element, dataset: rasterio.DatasetReader, part: _Part, is_complex: bool = False
 ) -> ElementTree.Element:
-    """Add a source of a virtual band that covers all of it."""
+    """Add a source to a VRT band that covers all of it."""
     rows, cols = dataset.shape
     source = ElementTree.SubElement(band, "ComplexSource" if is_complex or part.lut else "SimpleSource")
     ElementTree.SubElement(source, "SourceFilename", relativeToVRT="0", shared="0").text = part.name

@@ -1,8 +1,7 @@
-"""The whole of a raster, coarsely: what reach and relief are read from. And which overviews a file needs for that.
+"""Read a coarse overview of a whole raster, for its reach and relief, and check which overviews a file needs for that.
 
-The highest ground of a cell is what casts far shadows: a mean over kilometres knows nothing of a peak. Rasters of up to
-``EXACT_HIGH_CELLS`` cells are read cell by cell; of larger ones as many means are read, so that a peak is smoothed over a few cells
-of the raster and not over hundreds.
+The maximum of a cell casts far shadows: a mean over kilometres misses peaks. Rasters of up to ``EXACT_HIGH_CELLS`` cells are read
+cell by cell. Of larger ones as many means are read, so a peak is smoothed over a few raster cells, not over hundreds.
 """
 
 from __future__ import annotations
@@ -17,29 +16,49 @@ from skugga.terrain.errors import SourceError, printable
 from skugga.terrain.ground.open_raster import EXACT_HIGH_CELLS
 
 OVERVIEW_CELLS = 512
-"""Longest side of the overview that reach and relief are read from."""
+"""Longest side, in cells, of the overview that provides reach and relief."""
 
 MOST_CELLS_READ = 1_000_000_000
-"""Cells that are read for that overview where the file has none near it: some ten seconds, and as many for a zoomed-out tile."""
+"""Maximum cells read for that overview if the file has no overview near its level.
+
+Reading them takes some ten seconds, and as long for a zoomed-out tile.
+"""
 
 LARGEST_STEP = 4
-"""How many times coarser a file's next overview may be: a coarse window then reads 16 cells for one."""
+"""Maximum ratio between successive overviews of a file: a coarse window then reads 16 cells for one."""
 
 FINE_LEVEL, MOST_FINE_CELLS = 5, 16_000_000
-"""The level of which the highest ground is kept besides that of a coarser overview, or the finest of so many cells."""
+"""Level whose maxima are kept besides those of a coarser overview, and the maximum cells of these.
+
+The level is a coarser one if ``FINE_LEVEL`` itself has more cells.
+"""
 
 MEANS_ROWS = 64
-"""Rows of means that are read at a time where a large raster's highest ground is looked for."""
+"""Rows of means read at a time in the search for a large raster's maxima."""
 
 
 @dataclass(frozen=True, eq=False)
 class Overview:
-    """The whole raster, coarsely: (m, n) cells of 2**level raster cells a side, NaN in holes.
+    """A whole raster at a coarse level: (m, n) cells of 2**level raster cells a side, NaN in holes.
 
-    ``heights_m`` are means; ``high_m`` is the highest ground of each cell (for rasters over ``EXACT_HIGH_CELLS`` cells estimated
-    from about as many finer means: the highest of a mean's neighbourhood plus half its range). ``lowest_m`` is the lowest ground
-    of all, under water too (estimated likewise). Of a raster whose overview is coarser than ``FINE_LEVEL``, ``fine_high_m`` is the
-    highest ground of the cells of ``fine_level``, as many as lie in the overview's; else ``None``.
+    For rasters over ``EXACT_HIGH_CELLS`` cells, extremes are estimated from about as many finer means: the maximum of a mean's
+    neighbourhood plus half the neighbourhood's range.
+
+    Attributes
+    ----------
+    heights_m
+        Mean heights, metres, (m, n).
+    high_m
+        Maximum height of the ground in each cell, metres, (m, n).
+    level
+        Level of the cells.
+    lowest_m
+        Minimum height of all ground, metres, also under water.
+    fine_high_m
+        Maximum heights of the cells of ``fine_level``, metres, of those within the overview's cells; ``None`` if the overview is no
+        coarser than ``FINE_LEVEL``.
+    fine_level
+        Level of ``fine_high_m``.
     """
 
     heights_m: np.ndarray
@@ -51,28 +70,28 @@ class Overview:
 
 
 class LevelReader(Protocol):
-    """Ground of a raster by levels, each of cells of 2**level raster cells a side."""
+    """Reads the ground of a raster by levels, whose cells are 2**level raster cells a side."""
 
     def level_shape(self, level: int) -> tuple[int, int]:
-        """Whole cells of a level: rows, columns."""
+        """Return the number of whole cells of a level: rows, columns."""
         ...
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
-        """Heights of a window of a level's cells, metres, NaN in holes: until ``settle`` those of single cells, then means."""
+        """Return heights of a window of a level's cells, metres, NaN in holes: single cells until ``settle``, means afterwards."""
         ...
 
     def settle(self) -> None:
-        """Means from now on, unless what was read makes them wrong."""
+        """Switch to means, unless sentinels among the cells read so far would spoil them."""
         ...
 
 
 def overview_level(rows: int, cols: int) -> int:
-    """The level of a raster's overview."""
+    """Return the level of a raster's overview."""
     return max(int(np.ceil(np.log2(max(rows, cols) / OVERVIEW_CELLS))), 0)
 
 
 def lacks_overviews(rows: int, cols: int, factors: Sequence[int]) -> bool:
-    """Whether coarse windows of a raster whose file has overviews by these factors would read far more cells than they show."""
+    """Return whether coarse windows of a raster would read far more cells than they show, given the factors of its overviews."""
     if rows * cols <= EXACT_HIGH_CELLS:
         return False
     steps = [1, *sorted(factors), 2 ** overview_level(rows, cols)]
@@ -80,22 +99,22 @@ def lacks_overviews(rows: int, cols: int, factors: Sequence[int]) -> bool:
 
 
 def command_for(source: str) -> str:
-    """The command that makes a raster's overviews."""
+    """Return the command that makes a raster's overviews."""
     return printable(f"skugga overviews {source}")
 
 
 def check_overviews(source: str, rows: int, cols: int, factors: Sequence[int]) -> None:
-    """Raise ``SourceError`` for a raster of which too much would be read for its overview; it names the command that helps."""
+    """Raise ``SourceError`` if a raster's overview would read too many cells. The message names the command that helps."""
     level = overview_level(rows, cols)
     ready = max((factor for factor in factors if factor <= 2**level), default=1)
     if rows * cols > MOST_CELLS_READ * ready**2:
-        had = f"{cols} x {rows} cells and no overview of them" if ready == 1 else f"overviews of {ready} cells at most"
-        needed = f"overviews of a raster of more than {MOST_CELLS_READ / 1e6:,.0f} million cells"
-        raise SourceError(source, had, f"{needed}; '{command_for(source)}' makes them beside it, as does gdaladdo")
+        had = f"it has {cols} x {rows} cells and " + ("no overviews" if ready == 1 else f"overviews of {ready} cells at most")
+        needed = f"a raster of more than {MOST_CELLS_READ / 1e6:,.0f} million cells needs coarse overviews"
+        raise SourceError(source, f"{had}; {needed}", f"Make overviews beside it with '{command_for(source)}' or gdaladdo")
 
 
 def read_overview(ground: LevelReader, rows: int, cols: int) -> Overview:
-    """The overview of a raster's ground, without its water. It settles how coarser levels are read (``LevelReader.settle``)."""
+    """Return the overview of a raster's ground without water. Calls ``LevelReader.settle``, so later reads may be means."""
     level = overview_level(rows, cols)
     shape = ground.level_shape(level)
     if level == 0:
@@ -103,7 +122,7 @@ def read_overview(ground: LevelReader, rows: int, cols: int) -> Overview:
         ground.settle()
         return Overview(single, single, level, _lowest(single))
     if rows * cols > EXACT_HIGH_CELLS:
-        ground.read(level, 0, shape[0], 0, shape[1])  # single cells: is there a sentinel among them?
+        ground.read(level, 0, shape[0], 0, shape[1])  # single cells, to find undeclared sentinels
         ground.settle()
         kept = max(_finest_level(rows, cols, level, MOST_FINE_CELLS), min(FINE_LEVEL, level))
         fine, lowest_m = _estimated_high(ground, kept, _finest_level(rows, cols, kept, EXACT_HIGH_CELLS), level)
@@ -116,7 +135,7 @@ def read_overview(ground: LevelReader, rows: int, cols: int) -> Overview:
 
 
 def _exact_high(ground: LevelReader, level: int, rows: int, cols: int) -> tuple[np.ndarray, float]:
-    """The highest ground of a level's cells, and the lowest of all, from the raster's own."""
+    """Return the maxima (m, n) of a level's cells and the minimum of all, from the raster's own cells."""
     (m, n), factor = ground.level_shape(level), 2**level
     high, lowest_m = np.full((m, n), np.nan, np.float32), np.nan
     deep, wide = min(factor, rows), min(factor, cols)
@@ -129,13 +148,15 @@ def _exact_high(ground: LevelReader, level: int, rows: int, cols: int) -> tuple[
 
 
 def _finest_level(rows: int, cols: int, level: int, most: int) -> int:
-    """The finest level of at most so many cells, up to one that there is."""
+    """Return the finest level of at most ``most`` cells, or ``level`` if all finer ones have more."""
     return next((finer for finer in range(level) if (rows >> finer) * (cols >> finer) <= most), level)
 
 
 def _estimated_high(ground: LevelReader, kept: int, finer: int, level: int) -> tuple[np.ndarray, float]:
-    """The highest ground of the cells of the level ``kept`` that lie in whole ones of the coarser ``level``, and the lowest of all,
-    from the means of a ``finer`` level: ground varies within a cell about as it does from cell to cell.
+    """Estimate the maxima of cells of the level ``kept``, and the minimum of all ground.
+
+    The cells are those within whole cells of the coarser ``level``. Extremes come from the means of a ``finer`` level: the ground
+    varies within a cell about as much as from cell to cell.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -157,12 +178,12 @@ def _estimated_high(ground: LevelReader, kept: int, finer: int, level: int) -> t
 
 
 def _highest_below(high_m: np.ndarray, per: int) -> np.ndarray:
-    """The highest of each ``per`` x ``per`` cells, NaN where none is finite."""
+    """Return the maximum of each block of ``per`` x ``per`` cells, NaN where no cell is finite."""
     rows, cols = high_m.shape
     top = np.where(np.isfinite(high_m), high_m, -np.inf).reshape(rows // per, per, cols // per, per).max(axis=(1, 3))
     return np.where(np.isfinite(top), top, np.nan).astype(np.float32)
 
 
 def _lowest(height_m: np.ndarray) -> float:
-    """The lowest of some heights, NaN without any."""
+    """Return the minimum of heights, NaN if all are NaN."""
     return float(np.fmin.reduce(height_m, axis=None))

@@ -1,4 +1,4 @@
-"""What may be wrong with a raster of heights although it can be drawn."""
+"""Warnings about a raster of heights that can be drawn but looks wrong."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from skugga.terrain.ground.overview import command_for
 from skugga.terrain.level.level_source import remedy
 
 FEET_WARNING = (
-    "x and y are in feet; heights without a unit are taken as metres: if these are feet, too, write terrain: {units: ft} or us-ft "
-    "(of a raster without a level file: --units ft); if not, units: m"
+    "x and y are in feet, but heights have no unit and are read as metres. If they are feet, too, write terrain: {units: ft} or "
+    "us-ft (of a raster without a level file: --units ft), otherwise units: m"
 )
 
 
 def raster_warnings(elevation: Elevation) -> tuple[str, ...]:
-    """Sentences that say what is noticed, and what to write."""
+    """Return the warnings about a raster, each with its remedy."""
     collar, vertical = collar_of(elevation), elevation.vertical
     in_feet = any("foot" in (axis.unit_name or "").lower() for axis in elevation.crs.axis_info)
     return (
@@ -29,17 +29,17 @@ def raster_warnings(elevation: Elevation) -> tuple[str, ...]:
 
 def _of_overviews(elevation: Elevation) -> str:
     return (
-        f"the raster of {elevation.rows * elevation.cols / 1e6:,.0f} million cells lacks overviews, so that zoomed-out tiles read "
-        f"most of it: '{command_for(elevation.name)}' makes them beside it"
+        f"the raster of {elevation.rows * elevation.cols / 1e6:,.0f} million cells lacks overviews, so zoomed-out tiles read "
+        f"most of it. Make overviews beside it with '{command_for(elevation.name)}'"
     )
 
 
 def _of_nodata(elevation: Elevation) -> str:
     return (
-        f"the raster declares nodata {elevation.impossible_nodata}, which no cell of type {elevation.dtype} can have: "
-        f"if another value means no data, {remedy('nodata', 'VALUE')}"
+        f"the raster declares nodata {elevation.impossible_nodata}, which no cell of type {elevation.dtype} can have. "
+        f"If another value means no data, {remedy('nodata', 'VALUE')}"
     )
 
 
 def _of_units(elevation: Elevation) -> str:
-    return f"{elevation.vertical.statement}, but {elevation.vertical.other_unit}: if that is right, {remedy('units', 'UNIT')}"
+    return f"{elevation.vertical.statement}, but {elevation.vertical.other_unit}. State the right unit: {remedy('units', 'UNIT')}"

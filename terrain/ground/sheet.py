@@ -1,12 +1,12 @@
-"""Sheets: nodes in rows and columns, whose quads are cut into triangles.
+"""Grid meshes: nodes in rows and columns, whose quads are cut into triangles.
 
-A quad is cut along the diagonal whose ends stand higher in sum. That makes it the upper hull of its four corners: at every point
-the higher of the two surfaces that there are to choose from. The rule has no side that it prefers, as a fixed diagonal has: turned
-or mirrored ground is cut into turned or mirrored triangles. Ridges and walls that are one node wide stay whole, whichever way they
-run. Where both sums are equal the quad is plane, and the cut is without meaning.
+A quad is cut along the diagonal whose ends have the higher sum of heights. This gives the upper hull of its four corners: at every
+point the higher of the two possible surfaces. The rule prefers no side, unlike a fixed diagonal: rotated or mirrored ground is cut
+into rotated or mirrored triangles. Ridges and walls one node wide stay whole in any direction. If both sums are equal, the quad is
+planar and either cut gives the same surface.
 
-Heights are compared as they are stored, in float64, before the earth bends them: the cut does not hang on a frame. Of a quad that
-misses one corner the other three are a triangle; one that misses more has none.
+Heights are compared as stored, in float64, before the earth's curvature bends them, so the cut does not depend on a frame. If a
+quad misses one corner, the other three are a triangle. A quad that misses more corners has none.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from skugga.terrain.compiled import compiled
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """Nodes and how their quads are cut.
+    """A grid mesh: nodes, and the diagonals along which their quads are cut.
 
     Attributes
     ----------
     position_frame_m
-        float64 (rows, cols, 3); NaN where there is no node.
+        float64 (rows, cols, 3), metres; NaN where a node is missing.
     falls
         bool (rows - 1, cols - 1): whether a quad is cut from its north-west to its south-east corner (rows run south, columns
-        east), else from its south-west to its north-east one.
+        east); otherwise it is cut from its south-west to its north-east corner.
     """
 
     position_frame_m: np.ndarray
@@ -37,7 +37,7 @@ class Sheet:
 
     @cached_property
     def triangles(self) -> np.ndarray:
-        """Node indices (n, 3) int32, row by row, of the triangles whose corners are all there; counter-clockwise from above."""
+        """Node indices (n, 3) int32, row by row, of the triangles without a missing corner; counter-clockwise from above."""
         triangles = sheet_triangles(self.falls)
         known = np.isfinite(self.position_frame_m[..., 2]).ravel()
         return triangles if known.all() else _with_corners(triangles, known)
@@ -49,15 +49,15 @@ class Sheet:
 
 
 def sheet_of(position_frame_m: np.ndarray, height_m: np.ndarray | None = None) -> Sheet:
-    """The sheet of nodes (rows, cols, 3), cut by heights (rows, cols); without these, by the nodes' own third coordinate."""
+    """Return the mesh of nodes (rows, cols, 3), cut by heights (rows, cols), or else by the nodes' third coordinate."""
     return Sheet(position_frame_m, cuts_of(position_frame_m[..., 2] if height_m is None else height_m))
 
 
 @compiled
 def cuts_of(height):
-    """Which quads (rows - 1, cols - 1) of nodes with heights (rows, cols) are cut from north-west to south-east, bool.
+    """Return which quads (rows - 1, cols - 1) of nodes with heights (rows, cols) are cut from north-west to south-east, bool.
 
-    NaN is a missing corner: the cut then runs beside it.
+    NaN is a missing corner: the cut then runs between its two neighbours.
     """
     rows, cols = max(height.shape[0] - 1, 0), max(height.shape[1] - 1, 0)
     out = np.empty((rows, cols), np.bool_)
@@ -71,7 +71,7 @@ def cuts_of(height):
 
 @compiled
 def sheet_triangles(falls):
-    """Node indices (2 quads, 3) int32 of a sheet's triangles by its cuts: of each quad the one on its north side, then the other.
+    """Return node indices (2 quads, 3) int32 of a mesh's triangles: of each quad the one on its north side, then the other.
 
     Cut from south-west to north-east they are NW, SW, NE and SE, NE, SW; cut the other way NE, NW, SE and SW, SE, NW.
     """
@@ -113,7 +113,7 @@ def _normals(position, falls):
 
 @compiled
 def _with_corners(triangles, known):
-    """The triangles (n, 3) whose corners are all ``known``, in order."""
+    """Return the triangles (n, 3) whose corners are all ``known``, in order."""
     out = np.empty((triangles.shape[0], 3), np.int32)
     count = 0
     for i in range(triangles.shape[0]):

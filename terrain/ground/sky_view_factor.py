@@ -1,13 +1,15 @@
-"""The sky-view factor: the share of a place's sky light that the ground round it takes away, made once for a heightfield.
+"""Compute the sky-view factor of a heightfield: here the share of a node's sky light that the surrounding ground hides.
 
-Sky light is taken to be the same from all of the sky. A plane that nothing surrounds gets ``0.5 + 0.5 n.up`` of it; what is found
-here is the share of that which ground hides that rises above the plane: nothing on a plane, all of it at the bottom of a well.
+Sky light is taken as uniform over the sky. A plane without surroundings receives ``0.5 + 0.5 n.up`` of it. This module computes the
+share of that light which is hidden by ground that rises above the plane: 0 on a plane, 1 at the bottom of a well.
 
 Source: Dozier and Frew 1990, *Rapid calculation of terrain parameters for radiation modeling from digital elevation data*, the
-sky-view factor of a slope by its horizons. These are taken in 16 azimuths, those of a lattice's neighbours and next but one: lines
-in them pass through nodes, or half-way between two. Along a line the upper convex hull of the ground passed is kept as a stack
-(Timonen and Westerholm 2010, *Scalable Height Field Self-Shadowing*): the work is linear in the nodes, however far away what hides
-the sky is. The earth's curvature lowers what is far away by half the distance's square over the radius.
+sky-view factor of a slope from its horizon angles.
+
+The horizon angles are taken in 16 azimuths, towards a lattice's 8 nearest and 8 next neighbours: lines in these azimuths pass
+through nodes, or half-way between two. Along each line a stack holds the upper convex hull of the ground passed (Timonen and
+Westerholm 2010, *Scalable Height Field Self-Shadowing*), so the work is linear in the nodes, however far away an occluder is. The
+earth's curvature lowers distant ground by half the squared distance over the radius.
 """
 
 from __future__ import annotations
@@ -26,30 +28,42 @@ from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.interpolation_loops import lerp_corners
 
 LONGEST_NODES = 1024
-"""Longest side of the grid on which a raster's horizons are found."""
+"""Longest side, in nodes, of the grid on which a raster's horizon angles are computed."""
 
 NARROWEST = 0.01
-"""Least width of a cell as a share of its height: at a pole a cell has none."""
+"""Minimum width of a cell as a share of its height: at a pole a cell has no width."""
 
 LATTICE_NODES = 65
-"""Nodes a side of the lattice by which the cells of a projected raster are found: bilinear between, its error is below a hundredth
-of a node of the horizons' grid."""
+"""Nodes a side of the lattice that maps positions to cells of a projected raster.
+
+Bilinear interpolation between them has an error below a hundredth of a node of the grid of horizon angles.
+"""
 
 LOCAL_DEG = 20.0
-"""Rasters in degrees that span less, and leave as much to the poles, are found in the stereographic plane too, which is faster."""
+"""Maximum span of a raster in degrees, and its minimum distance to the poles, for the faster stereographic plane."""
 
 FLAT_PLANE, DEGREES, STEREOGRAPHIC = 0, 1, 2
-"""Planes in which cells are found: a flat world's own, longitude and latitude, or the stereographic one round the anchor."""
+"""Planes for finding cells: a flat world's own, longitude and latitude, or the stereographic one round the anchor."""
 
 EQUATOR_M, ECCENTRICITY_SQUARED = WGS84.a, WGS84.es
 
 
 @dataclass(frozen=True, eq=False)
 class CellFinder:
-    """Where earth-fixed points lie in a raster, without PROJ: by a bilinear lattice over a plane that its map differs little from.
+    """Maps earth-fixed points to cells of a raster without PROJ, by a bilinear lattice over a plane close to the raster's map.
 
-    ``cells`` (n, m, 2) float64 are rows and columns at the nodes ``first + (j, i) * step`` (x, y) of the plane; ``axes`` (3, 3) has
-    the rows east, north and up at the anchor.
+    Attributes
+    ----------
+    plane
+        ``FLAT_PLANE``, ``DEGREES`` or ``STEREOGRAPHIC``.
+    axes
+        (3, 3): unit vectors east, north and up at the anchor, earth-fixed, as rows.
+    first
+        (2,): x and y in the plane of the lattice's first node.
+    step
+        (2,): spacing of the nodes in x and y.
+    cells
+        float64 (n, m, 2): rows and columns in the raster at the nodes ``first + (j, i) * step``.
     """
 
     plane: int
@@ -61,10 +75,20 @@ class CellFinder:
 
 @dataclass(frozen=True, eq=False)
 class SkyView:
-    """The share of sky light that ground hides, at the nodes of a coarse grid of a raster.
+    """The share of sky light that ground hides, at the nodes of a coarse grid over a raster.
 
-    ``hidden`` (rows, cols) float32 in [0, 1]; a node is the middle of ``2**level`` raster cells a side. ``node_m`` is the nodes'
-    distance. A whole grid takes 4 MB, with its two pyramids 15 MB; while it is made, about 100 MB.
+    A full grid takes 4 MB, and 15 MB with its two pyramids. Its computation takes about 100 MB.
+
+    Attributes
+    ----------
+    hidden
+        float32 (rows, cols) in [0, 1].
+    level
+        Level of the nodes: a node is the centre of ``2**level`` raster cells a side.
+    node_m
+        Spacing of the nodes, metres.
+    finder
+        Maps earth-fixed points to cells of the raster.
     """
 
     hidden: np.ndarray
@@ -74,20 +98,20 @@ class SkyView:
 
     @cached_property
     def means(self) -> tuple[np.ndarray, np.ndarray]:
-        """The pyramid of means over 2 x 2, for ground that is seen from afar."""
+        """Pyramid of means over 2 x 2 nodes, for ground seen from far away."""
         return pyramid(self.hidden, np.mean)
 
     @cached_property
     def highest(self) -> tuple[np.ndarray, np.ndarray]:
-        """The pyramid of maxima over 2 x 2."""
+        """Pyramid of maxima over 2 x 2 nodes."""
         return pyramid(self.hidden, np.max)
 
 
 @cached("scene", 256 * MIB)
 def sky_view(elevation: Elevation, world: World) -> SkyView:
-    """What ground hides of the sky, of a raster and its world; kept for the last eight. Raises ``SourceError``.
+    """Return the sky light that ground hides, for a raster and its world. Results are cached. Raises ``SourceError``.
 
-    Heights are those that cast: holes are filled from their rims, and where nothing is known nothing hides.
+    Heights are those that cast: holes are filled from their rims. Where heights are missing, nothing hides the sky.
     """
     detail = np.log2(max(elevation.resolution_m or 0.0, 1e-9) / elevation.cell_size_m(world.metres_per_unit))
     longest = np.log2(max(elevation.shape))
@@ -103,21 +127,21 @@ def sky_view(elevation: Elevation, world: World) -> SkyView:
 
 
 RowsAndCols = tuple[float | np.ndarray, float | np.ndarray]
-"""Their rows and columns."""
+"""Rows and columns of cells."""
 
 
 def _apart_m(elevation: Elevation, world: World, one: RowsAndCols, other: RowsAndCols) -> np.ndarray:
-    """Distances (rows,) of pairs of cells on the earth; where the CRS has no place on it, as in the row of the middle."""
+    """Return distances (rows,) on the earth between pairs of cells, metres, or their median where the CRS has no position."""
     points = [world.ground(elevation.crs, *elevation.xy(*cell))[0] for cell in (one, other)]
     apart_m = np.linalg.norm(points[1] - points[0], axis=-1)
     return np.where(np.isfinite(apart_m), apart_m, np.nanmedian(apart_m))
 
 
 def hidden_sky(height_m: np.ndarray, across_m: np.ndarray, down_m: np.ndarray, curvature: float = 0.0) -> np.ndarray:
-    """The share of its sky light that ground hides from each node of a heightfield: (rows, cols) float32 in [0, 1], 0 in holes.
+    """Return the share of sky light that ground hides from each node of a heightfield: (rows, cols) float32 in [0, 1], 0 in holes.
 
-    ``height_m`` (rows, cols), NaN in holes; ``across_m`` and ``down_m`` (rows,) float64 are the distances of neighbouring nodes
-    along a row and from row to row, ``curvature`` 1 over the earth's radius, per metre.
+    ``height_m`` is (rows, cols), NaN in holes. ``across_m`` and ``down_m`` (rows,) float64 are the distances of neighbouring nodes
+    along a row and from row to row. ``curvature`` is 1 over the earth's radius, per metre.
     """
     height_m = np.ascontiguousarray(height_m, np.float64)
     slope = _slopes(height_m, across_m, down_m)
@@ -132,8 +156,10 @@ def hidden_sky(height_m: np.ndarray, across_m: np.ndarray, down_m: np.ndarray, c
 
 
 def _sector(aside: int, narrow: np.ndarray) -> np.ndarray:
-    """Widths (rows,) of the sector of azimuths, radians, that a line stands for which goes ``aside`` half-nodes aside for each node
-    ahead: half-way to the neighbouring lines. ``narrow`` (rows,) is how far apart nodes lie aside, over how far ahead.
+    """Return the widths (rows,), in radians, of the sector of azimuths that a line represents: half-way to the neighbouring lines.
+
+    The line goes ``aside`` half-nodes sideways for each node ahead. ``narrow`` (rows,) is the sideways spacing of nodes over the
+    spacing ahead.
     """
     angles = {0: np.arctan(narrow / 2), 1: np.arctan(narrow) / 2}
     if abs(aside) < 2:
@@ -143,7 +169,10 @@ def _sector(aside: int, narrow: np.ndarray) -> np.ndarray:
 
 @compiled
 def _slopes(height, across_m, down_m):
-    """Rise per metre (rows, cols, 2) along rows and from row to row: central differences, one-sided beside holes and at borders."""
+    """Return the rise per metre (rows, cols, 2) along rows and from row to row.
+
+    Differences are central, and one-sided beside holes and at borders.
+    """
     rows, cols = height.shape
     out = np.empty((rows, cols, 2))
     for r in range(rows):
@@ -164,8 +193,10 @@ def _slopes(height, across_m, down_m):
 
 @internal
 def _light(tangent, rise):
-    """What a sector of the sky above a tangent gives a plane that rises by ``rise`` towards it: Dozier and Frew's integrand over
-    the cosine of the plane's slope, ``sin^2 H - rise (H - sin H cos H)`` with the horizon H counted from the zenith.
+    """Return the light of a sky sector above the horizon ``tangent`` on a plane that rises by ``rise`` towards it.
+
+    This is Dozier and Frew's integrand over the cosine of the plane's slope, ``sin^2 H - rise (H - sin H cos H)``, with the horizon
+    H counted from the zenith.
     """
     flat = 1.0 / (1.0 + tangent * tangent)
     return flat - rise * (0.5 * np.pi - np.arctan(tangent) - tangent * flat)
@@ -173,14 +204,15 @@ def _light(tangent, rise):
 
 @compiled
 def _along(height, slope, ahead_m, aside_m, by_row, sector, aside, way, curvature, out):
-    """Add what is hidden behind, along all lines that go ``aside`` half-rows for each column, by ``way`` to or fro.
+    """Add the light that the ground passed hides, along all lines that go ``aside`` half-rows for each column.
 
-    ``by_row`` is whether the distances, which are a raster row's, are those of this array's rows or of its columns.
+    ``way`` is the direction, 1 or -1. ``by_row`` is whether the distances, which are per raster row, belong to this array's rows or
+    to its columns.
     """
     rows, cols = height.shape
     low, high = min(0, -aside * (cols - 1)), 2 * (rows - 1) + max(0, -aside * (cols - 1))
     hull_m, hull_level = np.empty(cols), np.empty(cols)
-    for line in range(low, high + 1, 1 if aside % 2 else 2):  # of lines without bend aside, every other one has no node
+    for line in range(low, high + 1, 1 if aside % 2 else 2):  # with even ``aside`` every other line has no node
         depth, at_m = 0, 0.0
         for n in range(cols):
             c = n if way > 0 else cols - 1 - n
@@ -202,7 +234,7 @@ def _along(height, slope, ahead_m, aside_m, by_row, sector, aside, way, curvatur
                     break
                 depth -= 1
             if on_node and depth > 0:
-                # Lowered ground leans, by the way from where the line begins; this takes the lean out again.
+                # Curvature tilts the ground by the distance from the line's start; subtract that tilt.
                 tangent = (hull_level[depth - 1] - level) / (at_m - hull_m[depth - 1]) - curvature * at_m
                 east, south = slope[r, c, 0], slope[r, c, 1]
                 rise = -way * (east * ahead + south * beside) / length
@@ -217,8 +249,9 @@ def _along(height, slope, ahead_m, aside_m, by_row, sector, aside, way, curvatur
 
 
 def pyramid(values: np.ndarray, of_four: Callable[..., np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """All levels (k,) float32 of a grid, each joining 2 x 2 nodes of the one before, down to one node; and where each begins, its
-    rows and its columns (levels, 3) int64. A last odd row or column is joined with itself.
+    """Return all levels (k,) float32 of a grid's pyramid in one array, and a table (levels, 3) int64: offset, rows, columns.
+
+    Each level joins 2 x 2 nodes of the previous one, down to one node. An odd last row or column is joined with itself.
     """
     levels = [values]
     while levels[-1].size > 1:
@@ -257,7 +290,7 @@ def _local(bounds_deg: tuple[float, float, float, float]) -> bool:
 def _cells_at(
     elevation: Elevation, world: World, plane: int, axes: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns in a raster of places in a finder's plane."""
+    """Return rows and columns in a raster of positions in a finder's plane."""
     if plane == FLAT_PLANE:
         return elevation.cell_of(x / world.metres_per_unit + world.anchor_x, y / world.metres_per_unit + world.anchor_y)
     if plane == DEGREES:
@@ -274,7 +307,10 @@ def _cells_at(
 
 
 def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Rows and columns (..., 2) float64 in the grid ``hidden`` of the ground below frame points (..., 3) with heights (...)."""
+    """Return rows and columns (..., 2) float64, in the grid ``hidden``, of the ground below frame points (..., 3).
+
+    ``height_m`` (...) are the points' heights, metres.
+    """
     finder = view.finder
     cells = np.empty((height_m.size, 2))
     in_shares(
@@ -286,9 +322,10 @@ def sky_view_nodes(view: SkyView, frame: LocalFrame, position_frame_m: np.ndarra
 
 @compiled
 def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, first, step, lattice, side, out):
-    """Rows and columns in the raster, joined to cells of a ``side``, of the points ``begin`` to ``end``.
+    """Fill in rows and columns of the points ``begin`` to ``end``, in cells of ``side`` raster cells a side.
 
-    Latitude by EPSG Guidance Note 7-2, section 4.1.1, with the equator's radius for the prime vertical's in the height's part.
+    The latitude follows EPSG Guidance Note 7-2, section 4.1.1, with the equator's radius instead of the prime vertical's in the
+    term of the height.
     """
     m = frame_from_earth
     for n in range(begin, end):
@@ -303,7 +340,10 @@ def _cells(begin, end, position, height, frame_from_earth, origin, plane, axes, 
 
 @internal
 def in_plane(x, y, z, height, plane, axes, first, step):
-    """Where in a finder's plane the ground lies below an earth-fixed point with a height. What is of the finder may be tuples."""
+    """Return the position in a finder's plane of the ground below an earth-fixed point with a height.
+
+    The finder's parts may be arrays or tuples.
+    """
     if plane == FLAT_PLANE:
         return x, y
     z *= (EQUATOR_M + height) / (EQUATOR_M * (1.0 - ECCENTRICITY_SQUARED) + height)
@@ -319,15 +359,16 @@ def in_plane(x, y, z, height, plane, axes, first, step):
 
 @internal
 def cell_in_plane(x, y, first, step, lattice):
-    """Row and column in the raster of a place in a finder's plane; NaN where it has none."""
+    """Return row and column in the raster of a position in a finder's plane; NaN where it has none."""
     across, down, j, i = square_of_lattice(x, y, first, step, lattice.shape[0], lattice.shape[1])
     return cell_in_square(corners_of_square(lattice, i, j), across - j, down - i)
 
 
 @internal
 def square_of_lattice(x, y, first, step, rows, cols):
-    """How far across and down a lattice a place in a finder's plane lies, NaN where it has no cell; and the column and row of the
-    square there, or nearest to it.
+    """Return a position's distances across and down a lattice, in squares, and the column and row of its square.
+
+    The distances are NaN for a position that is not finite. The square is the nearest one for a position off the lattice.
     """
     across, down = (x - first[0]) / step[0], (y - first[1]) / step[1]
     known = np.isfinite(across) & np.isfinite(down)
@@ -338,7 +379,7 @@ def square_of_lattice(x, y, first, step, rows, cols):
 
 @internal
 def corners_of_square(lattice, i, j):
-    """Rows and then columns in the raster at the four corners of a lattice's square: from the west on, the upper side first."""
+    """Return the rows, then the columns, in the raster at the corners of a lattice's square: west to east, upper side first."""
     return (
         lattice[i, j, 0], lattice[i, j + 1, 0], lattice[i + 1, j, 0], lattice[i + 1, j + 1, 0],
         lattice[i, j, 1], lattice[i, j + 1, 1], lattice[i + 1, j, 1], lattice[i + 1, j + 1, 1],
@@ -347,7 +388,7 @@ def corners_of_square(lattice, i, j):
 
 @internal
 def cell_in_square(corners, u, v):
-    """Row and column in the raster at shares of the way across and down a square."""
+    """Return row and column in the raster at fractions across and down a square."""
     r0, r1, r2, r3, c0, c1, c2, c3 = corners
     one, other = r0 + u * (r1 - r0), r2 + u * (r3 - r2)
     row = one + v * (other - one)
@@ -356,8 +397,18 @@ def cell_in_square(corners, u, v):
 
 
 class PyramidLevel(NamedTuple):
-    """Which two levels of a pyramid stand for what is so wide: where each begins, its rows and columns, and what takes the finest
-    level's nodes to its own; and how far the second one counts.
+    """The two levels of a pyramid between which a footprint interpolates.
+
+    Attributes
+    ----------
+    begin, rows, cols
+        Offset, rows and columns of the finer level.
+    scale
+        Factor from the finest level's nodes to this level's.
+    next_begin, next_rows, next_cols, next_scale
+        The same of the coarser level.
+    coarser
+        Weight of the coarser level, in [0, 1].
     """
 
     begin: int
@@ -373,7 +424,7 @@ class PyramidLevel(NamedTuple):
 
 @compiled
 def pyramid_level(table, wide):
-    """The levels of a pyramid for what is ``wide`` of the finest level's nodes wide."""
+    """Return the levels of a pyramid for a footprint that is ``wide`` nodes of the finest level wide."""
     number, coarser = 0, 0.0
     if wide > 1.0 and len(table) > 1:
         halved = min(np.log2(wide), len(table) - 1.0)
@@ -388,7 +439,7 @@ def pyramid_level(table, wide):
 
 @internal
 def hidden_on(values, level, row, col):
-    """The share of the sky that ground hides at a row and column of the grid ``hidden``, as a mean over what a ``level`` is for."""
+    """Return the share of the sky that ground hides at a row and column of ``hidden``, averaged over the level's footprint."""
     hidden = _bilinear(values, level.begin, level.rows, level.cols, row, col, level.scale)
     if level.coarser > 0.0:
         coarse = _bilinear(values, level.next_begin, level.next_rows, level.next_cols, row, col, level.next_scale)
@@ -398,7 +449,7 @@ def hidden_on(values, level, row, col):
 
 @internal
 def hidden_on_row(values, level, row, col, out):
-    """The same at many rows and columns (n,)."""
+    """Fill ``out`` with ``hidden_on`` at many rows and columns (n,)."""
     _bilinear_row(values, level.begin, level.rows, level.cols, row, col, level.scale, out)
     if level.coarser > 0.0:
         coarse = np.empty(out.size)
@@ -409,7 +460,7 @@ def hidden_on_row(values, level, row, col, out):
 
 @internal
 def _bilinear(values, begin, rows, cols, row, col, scale):
-    """A level's value at a place in the finest level's nodes; the outermost values beyond their middles."""
+    """Return a level's value at a position in nodes of the finest level, clamped beyond the outermost centres."""
     r0, c0, down, across = _corner(rows, cols, row, col, scale)
     right, below = min(c0 + 1, cols - 1) - c0, (min(r0 + 1, rows - 1) - r0) * cols
     at = begin + r0 * cols + c0
@@ -418,7 +469,10 @@ def _bilinear(values, begin, rows, cols, row, col, scale):
 
 @internal
 def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
-    """The same at many places (n,). What is looked up stands between loops that compile to vector instructions."""
+    """Fill ``out`` with ``_bilinear`` at many positions (n,).
+
+    The lookups stand between loops that compile to vector instructions.
+    """
     r0, c0 = np.empty(out.size, np.int32), np.empty(out.size, np.int32)
     down, across = np.empty(out.size), np.empty(out.size)
     for n in range(out.size):
@@ -440,7 +494,7 @@ def _bilinear_row(values, begin, rows, cols, row, col, scale, out):
 
 @internal
 def _corner(rows, cols, row, col, scale):
-    """Row and column of a level's node before a place, and how far beyond it lies; both 0 where the place is none."""
+    """Return row and column of a level's node before a position, and the fractions beyond it; all 0 for a position that is NaN."""
     r, c = min(max((row + 0.5) * scale - 0.5, 0.0), rows - 1.0), min(max((col + 0.5) * scale - 0.5, 0.0), cols - 1.0)
     r0, c0 = np.int32(r if r > 0.0 else 0.0), np.int32(c if c > 0.0 else 0.0)
     return r0, c0, r - r0, c - c0

@@ -1,9 +1,8 @@
-"""The drawn surface: heights at the nodes of a map grid, and their points in a local frame.
+"""Build the drawn surface: heights at the nodes of a map grid, and the nodes' points in a local frame.
 
-Where a node lies (in the raster, and on earth at height 0) is computed exactly on every ``stride``-th node of the grid
-and by cubic Lagrange interpolation between; the mapping is so smooth there that the error is under a millimetre. The
-exact nodes are multiples counted from the grid's origin, never from a window: the same node has the same bits in every
-window that shares its frame.
+The position of a node (in the raster, and on earth at height 0) is computed exactly on every ``stride``-th node of the grid. Cubic
+Lagrange interpolation gives the others; the mapping is so smooth that the error is below a millimetre. The exact nodes are
+multiples counted from the grid's origin, never from a window: a node has the same bits in every window that shares its frame.
 """
 
 from __future__ import annotations
@@ -22,18 +21,24 @@ from skugga.terrain.ground.height_tiles import tiled_heights
 from skugga.terrain.ground.sheet import Sheet, sheet_of
 
 EXACT_SPACING_M = 16000.0
-"""Largest distance between exactly computed nodes: the cubic's error there is below 0.1 mm on the globe."""
+"""Maximum distance between exactly computed nodes, metres: the cubic's error is then below 0.1 mm on the globe."""
 
 EXACT_STRIDE = 64
-"""Largest distance between exactly computed nodes, in nodes."""
+"""Maximum distance between exactly computed nodes, in nodes."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeightWindow:
     """Nodes [row0, row0 + rows) x [col0, col0 + cols) of a grid.
 
-    ``height_m`` is (rows, cols) float32, NaN where no surface can be (outside the data). ``there`` says where the picture shows a
-    surface: holes are filled, but not ``there``.
+    Attributes
+    ----------
+    row0, col0
+        First row and column.
+    height_m
+        float32 (rows, cols), metres; holes are filled, NaN where no surface can be (off the data).
+    there
+        Valid mask (rows, cols): whether the image shows a surface. Filled holes are not valid.
     """
 
     row0: int
@@ -50,7 +55,17 @@ class HeightWindow:
 
 @dataclass(frozen=True, eq=False)
 class RefinedWindow:
-    """Nodes of a grid that refines another one: what a ``HeightWindow`` has, made when asked for from the ``coarser`` grid's."""
+    """Nodes of a grid that refines another one: a ``HeightWindow`` computed lazily from the coarser grid's.
+
+    Attributes
+    ----------
+    row0, col0
+        First row and column.
+    shape
+        Rows and columns.
+    coarser
+        The coarser grid's window.
+    """
 
     row0: int
     col0: int
@@ -59,12 +74,12 @@ class RefinedWindow:
 
     @cached_property
     def height_m(self) -> np.ndarray:
-        """Heights (rows, cols)."""
+        """Heights (rows, cols) float32, metres."""
         return _refined(self.coarser.height_m, self.row0 % 2, self.col0 % 2, *self.shape)
 
     @cached_property
     def there(self) -> np.ndarray:
-        """Where there is a surface (rows, cols)."""
+        """Valid mask (rows, cols)."""
         return _refined_there(self.coarser.there, self.row0 % 2, self.col0 % 2, *self.shape)
 
 
@@ -73,9 +88,14 @@ NodeHeights = HeightWindow | RefinedWindow
 
 @dataclass(frozen=True, eq=False)
 class SurfaceWindow(HeightWindow):
-    """The same with the nodes' points: ``position_frame_m`` (rows, cols, 3) float64, NaN where there is no height.
+    """A ``HeightWindow`` with the nodes' points.
 
-    ``centre_frame_m`` (3,) is what up points away from: the earth's centre, or in a flat world one infinitely far below.
+    Attributes
+    ----------
+    position_frame_m
+        float64 (rows, cols, 3), metres; NaN where the height is missing.
+    centre_frame_m
+        (3,): the point that up vectors point away from: the earth's centre, or in a flat world one infinitely far below.
     """
 
     position_frame_m: np.ndarray
@@ -83,13 +103,31 @@ class SurfaceWindow(HeightWindow):
 
     @cached_property
     def sheet(self) -> Sheet:
-        """The nodes with their quads' cuts."""
+        """The nodes as a grid mesh."""
         return sheet_of(self.position_frame_m, self.height_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The surface of a raster on the nodes of a grid."""
+    """The surface of a raster on the nodes of a grid.
+
+    Attributes
+    ----------
+    world
+        The world that the raster lies in.
+    elevation
+        The raster.
+    grid
+        The grid.
+    step_m
+        Distance between neighbouring nodes at the anchor, metres.
+    level
+        Level of the raster's cells that heights are read from.
+    cells_per_step
+        Raster cells per distance between nodes.
+    stride
+        Distance between exactly computed nodes, in nodes.
+    """
 
     world: World
     elevation: Elevation
@@ -105,7 +143,7 @@ class Surface:
             object.__setattr__(self, name, value)
 
     def window(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> SurfaceWindow:
-        """The nodes of a window, in a frame."""
+        """Return the nodes of a window, in a frame."""
         height, there = self.heights(row0, col0, rows, cols)
         exact, exact_rows, exact_cols = self.exact_verticals(row0, col0, rows, cols, frame)
         position = _positions(exact, exact_rows, exact_cols, self.stride, row0, col0, height)
@@ -114,15 +152,16 @@ class Surface:
         return SurfaceWindow(row0, col0, height, there, position, centre)
 
     def exact_verticals(self, row0: int, col0: int, rows: int, cols: int, frame: LocalFrame) -> tuple[np.ndarray, int, int]:
-        """Of the exact nodes that a window needs, in a frame: points of height 0 and the unit vectors up there (m, n, 6); and the
-        first row and column of these, in strides.
+        """Return points of height 0 and unit up vectors (m, n, 6), in a frame, of the exact nodes that a window needs.
+
+        Also returns the first row and column of these nodes, in strides.
         """
         first_row, first_col, x, y = self.exact_nodes(row0, col0, rows, cols, self.stride)
         point, up = self.world.ground(self.grid.crs, x, y)
         return np.concatenate([frame.points_from_earth(point), frame.directions_from_earth(up)], axis=-1), first_row, first_col
 
     def height_window(self, row0: int, col0: int, rows: int, cols: int) -> NodeHeights:
-        """The nodes of a window without their points, from tiles that are kept."""
+        """Return the nodes of a window without their points, from cached tiles."""
         if self.grid.refines:
             coarser = Surface(self.world, self.elevation, self.grid.coarser(1))
             window = coarser.height_window(*_coarser_window(row0, col0, rows, cols))
@@ -134,7 +173,7 @@ class Surface:
         return HeightWindow(row0, col0, height, there)
 
     def positions(self, row: np.ndarray, col: np.ndarray, height_m: np.ndarray, frame: LocalFrame) -> np.ndarray:
-        """Frame points (n, 3) float64 of single nodes with their heights: the same as a window's."""
+        """Return frame points (n, 3) float64 of single nodes with their heights, bit for bit those of a window."""
         if not len(row):
             return np.zeros((0, 3))
         row0, col0 = int(row.min()), int(col.min())
@@ -148,13 +187,14 @@ class Surface:
         return out
 
     def points(self, row0: int, col0: int, height_m: np.ndarray, frame: LocalFrame) -> np.ndarray:
-        """Frame points (rows, cols, 3) float64 of a window's nodes with their heights."""
+        """Return frame points (rows, cols, 3) float64 of a window's nodes with their heights."""
         rows, cols = height_m.shape
         return _positions(*self.exact_verticals(row0, col0, rows, cols, frame), self.stride, row0, col0, height_m)
 
     def along(self, axis_earth: np.ndarray, origin_earth_m: np.ndarray, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
-        """Put the coordinates, metres, of windows' nodes with their heights, along an earth-fixed unit axis, into arrays of
-        float32: views (rows, cols) of any order.
+        """Write the coordinates of windows' nodes along an earth-fixed unit axis, metres, into float32 arrays.
+
+        ``out`` are views (rows, cols) of any memory order. The nodes include their heights.
         """
         row0, col0 = min(window.row0 for window in windows), min(window.col0 for window in windows)
         rows = max(window.row0 + window.shape[0] for window in windows) - row0
@@ -171,7 +211,7 @@ class Surface:
             )  # fmt: skip
 
     def heights(self, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Heights in metres (float32) of a window's nodes, and where there is a surface."""
+        """Return heights in metres (float32) of a window's nodes, and the valid mask."""
         if self.grid.refines:
             coarser, window = Surface(self.world, self.elevation, self.grid.coarser(1)), _coarser_window(row0, col0, rows, cols)
             height, there = coarser.heights(*window)
@@ -188,7 +228,7 @@ class Surface:
         return self.elevation.heights_at(self.level, located[0], located[1])
 
     def exact_nodes(self, row0: int, col0: int, rows: int, cols: int, stride: int) -> tuple[int, int, np.ndarray, np.ndarray]:
-        """First exact row and column (in strides), and x, y of the exact nodes that a window needs."""
+        """Return the first exact row and column (in strides), and x and y of the exact nodes that a window needs."""
         first_row, first_col = row0 // stride - 1, col0 // stride - 1
         last_row, last_col = (row0 + rows - 1) // stride + 2, (col0 + cols - 1) // stride + 2
         row = np.arange(first_row, last_row + 1) * stride
@@ -197,7 +237,10 @@ class Surface:
         return first_row, first_col, x, y
 
     def cells_of(self, x: np.ndarray, y: np.ndarray, everywhere: bool = False) -> tuple[np.ndarray, np.ndarray] | None:
-        """Row and column in the raster; ``None`` where its longitudes are not continuous (unless ``everywhere``)."""
+        """Return row and column in the raster of coordinates in the grid's CRS.
+
+        Returns ``None`` if the raster's longitudes are not continuous there, unless ``everywhere``.
+        """
         source = self.elevation.crs
         if self.grid.crs != source:
             if is_longitude_latitude(source):
@@ -221,14 +264,17 @@ class Surface:
 
 
 def _coarser_window(row0: int, col0: int, rows: int, cols: int) -> tuple[int, int, int, int]:
-    """The window of the coarser grid, first row and column and size, that holds the nodes round a window's."""
+    """Return the window of the coarser grid, first row and column and size, whose nodes surround those of a window."""
     top, left = row0 // 2, col0 // 2
     return top, left, (row0 + rows) // 2 - top + 1, (col0 + cols) // 2 - left + 1
 
 
 @cached("scene", MIB, size_of=lambda _: 512)
 def _steps_of(world: World, elevation: Elevation, grid: Grid) -> tuple[float, int, float, int]:
-    """``step_m``, ``level``, ``cells_per_step`` and ``stride`` of a surface, which is made anew for every patch of ground."""
+    """Return ``step_m``, ``level``, ``cells_per_step`` and ``stride`` of a surface.
+
+    The result is cached, as every patch of ground makes a new ``Surface``.
+    """
     step_m, cell_m = step_at_anchor_m(world, grid), elevation.cell_size_m(world.metres_per_unit)
     detail_m = max(step_m, elevation.resolution_m or 0.0)
     stride = int(2 ** np.clip(np.floor(np.log2(EXACT_SPACING_M / step_m)), 0, np.log2(EXACT_STRIDE)))
@@ -236,14 +282,15 @@ def _steps_of(world: World, elevation: Elevation, grid: Grid) -> tuple[float, in
 
 
 def map_pixel_m(world: World, view: MapView) -> float:
-    """Side of a map's pixels on the ground at the anchor, metres: the root of a pixel's area."""
+    """Return the side of a map's pixels on the ground at the anchor, metres: the square root of a pixel's area."""
     return step_at_anchor_m(world, view.grid) * view.pixel_share * float(np.sqrt(view.row_step * view.col_step))
 
 
 @compiled
 def _refined(height, row0, col0, rows, cols):
-    """Heights (rows, cols) at nodes, their quads' middles and the middles of their sides, from (row0, col0) on, 0 or 1. Quads are
-    cut along their higher diagonals (``skugga.terrain.ground.sheet``).
+    """Return heights (rows, cols) at nodes, at the centres of their quads and at the midpoints of their sides.
+
+    The first node is at (row0, col0), each 0 or 1. Quads are cut along their higher diagonals (``skugga.terrain.ground.sheet``).
     """
     out = np.empty((rows, cols), np.float32)
     for i in range(rows):
@@ -253,7 +300,10 @@ def _refined(height, row0, col0, rows, cols):
 
 @internal
 def refined_row(height, row, col0, out):
-    """Heights of a row of ``_refined``, 0 or 1 being the first; in loops that compile to vector instructions."""
+    """Fill ``out`` with a row of ``_refined``. The loops compile to vector instructions.
+
+    The first node is in column ``col0``, 0 or 1.
+    """
     above, below = height[row // 2], height[(row + 1) // 2]
     if col0 == 1:
         out[0] = _quad_middle(above[0], above[1], below[0], below[1]) if row % 2 else _middle(above[0], above[1])
@@ -280,7 +330,7 @@ def _middle(one, other):
 
 @internal
 def _quad_middle(west, east, south_west, south_east):
-    """The height in the middle of a quad, on the higher one of its diagonals."""
+    """Return the height at the centre of a quad, on its higher diagonal."""
     falling = 0.5 * (np.float64(west) + np.float64(south_east))
     rising = 0.5 * (np.float64(east) + np.float64(south_west))
     return np.float32(rising if (rising > falling) | np.isnan(falling) else falling)
@@ -288,7 +338,7 @@ def _quad_middle(west, east, south_west, south_east):
 
 @compiled
 def _refined_there(there, row0, col0, rows, cols):
-    """Where there is a surface (rows, cols) at the same places: where there is one at both ends of a diagonal."""
+    """Return the valid mask (rows, cols) at the same positions: valid where both ends of a diagonal are."""
     out = np.empty((rows, cols), np.bool_)
     for i in range(rows):
         _refined_row_there(there[(row0 + i) // 2], there[(row0 + i + 1) // 2], col0, out[i])
@@ -323,11 +373,11 @@ def cubic_weights(t):
 
 @compiled
 def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
-    """(k, rows, cols) values of a window from (m, n, k) exact ones every ``stride`` nodes; sums in a fixed order."""
+    """Interpolate a window (k, rows, cols) from exact values (m, n, k) at every ``stride``-th node, with sums in a fixed order."""
     kinds = exact.shape[2]
     out = np.empty((kinds, rows, cols))
     along = np.empty(exact.shape[1])
-    weights = np.empty((4, stride))  # of the nodes between two exact ones
+    weights = np.empty((4, stride))  # for the nodes between two exact ones
     for n in range(stride):
         weights[0, n], weights[1, n], weights[2, n], weights[3, n] = cubic_weights(n / stride)
     for i in range(rows):
@@ -345,12 +395,13 @@ def interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols):
 
 
 ALONG_ROWS = 64
-"""Rows that ``_along`` works on at a time, so that it can write an array whose columns lie side by side as fast."""
+"""Rows that ``_along`` processes at a time, so it writes a column-major array as fast."""
 
 
 def _laid_out(array: np.ndarray) -> tuple[np.ndarray, int, int, int]:
-    """The memory, flat, that an array (rows, cols) is a view of, where in it that begins, and the steps from row to row and from
-    column to column, in values; one of these is 1 or -1.
+    """Return the flat memory behind an array (rows, cols), the array's offset in it, and its row and column strides, in values.
+
+    One of the strides is 1 or -1.
     """
     owner = array if array.base is None else array.base
     assert isinstance(owner, np.ndarray)
@@ -359,14 +410,15 @@ def _laid_out(array: np.ndarray) -> tuple[np.ndarray, int, int, int]:
 
 
 PUT_COLUMNS = 8
-"""Columns that are put into such an array at a time."""
+"""Columns written at a time into a column-major array."""
 
 
 @compiled
 def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols, height, refined, flat, start, down, right):
-    """Coordinates (rows, cols) at the ends of heights, from exact ones (m, n) of their feet, and by how much these change per
-    metre; sums in the order of ``interpolated``. They are put into an array that is ``_laid_out``. ``height`` is of the nodes, or
-    of those of a grid that theirs refines.
+    """Write coordinates (rows, cols) at the tops of heights into an array described by ``_laid_out``.
+
+    ``foot`` (m, n) are exact coordinates at height 0 and ``per_metre`` (m, n) their change per metre of height. Sums follow the
+    order of ``interpolated``. ``height`` belongs to the nodes or, if ``refined``, to those of the grid that theirs refines.
     """
     between = np.empty(cols, np.float32)
     feet, slopes = np.empty(foot.shape[1]), np.empty(foot.shape[1])
@@ -400,7 +452,7 @@ def _along(foot, per_metre, first_row, first_col, stride, row0, col0, rows, cols
 
 @internal
 def _of_row(exact, m, share, out):
-    """Exact columns' values (n,) of a row between exact ones (m, n)."""
+    """Interpolate a row's values (n,) in the exact columns between exact rows (m, n)."""
     w = cubic_weights(share)
     for n in range(out.size):
         if w[1] == 1.0:  # an exact row
@@ -409,12 +461,12 @@ def _of_row(exact, m, share, out):
             out[n] = w[0] * exact[m - 1, n] + w[1] * exact[m, n] + w[2] * exact[m + 1, n] + w[3] * exact[m + 2, n]
 
 
-# The next loops are written so that they compile to vector instructions: slices have their lengths, and rows lie side by side.
+# The next loops are written so that they compile to vector instructions: slices have known lengths, and rows are contiguous.
 
 
 @internal
 def _between_exact(values, n, weights, first, out):
-    """Of nodes between the exact columns ``n`` + 1 and ``n`` + 2, from number ``first`` on."""
+    """Interpolate nodes between the exact columns ``n`` + 1 and ``n`` + 2, from the node number ``first`` on."""
     a, b, c, d = values[n], values[n + 1], values[n + 2], values[n + 3]
     w0, w1 = weights[0][first : first + out.size], weights[1][first : first + out.size]
     w2, w3 = weights[2][first : first + out.size], weights[3][first : first + out.size]
@@ -424,7 +476,10 @@ def _between_exact(values, n, weights, first, out):
 
 @internal
 def _ends_of(feet, slopes, n, weights, first, height, at, out, count):
-    """Of ``count`` nodes of a row between the exact columns ``n`` + 1 and ``n`` + 2, from number ``first`` and column ``at`` on."""
+    """Write the tops of ``count`` nodes of a row between the exact columns ``n`` + 1 and ``n`` + 2.
+
+    The nodes begin at number ``first`` between these, in column ``at`` of the window.
+    """
     a, b, c, d = feet[n], feet[n + 1], feet[n + 2], feet[n + 3]
     e, f, g, h = slopes[n], slopes[n + 1], slopes[n + 2], slopes[n + 3]
     for j in range(count):
@@ -437,7 +492,7 @@ def _ends_of(feet, slopes, n, weights, first, height, at, out, count):
 
 @compiled
 def between_columns(exact, first_col, stride, col0, cols):
-    """Values (m, cols) of the columns between exact ones (m, n)."""
+    """Interpolate values (m, cols) of columns between exact ones (m, n)."""
     out = np.empty((exact.shape[0], cols))
     for j in range(cols):
         coarse = (col0 + j) // stride
@@ -453,7 +508,7 @@ def between_columns(exact, first_col, stride, col0, cols):
 
 @internal
 def between_rows(exact, m, share, out):
-    """Values (cols,) of a row after the exact row ``m`` of some (rows, cols), by a share of the way to the next."""
+    """Interpolate a row (cols,) after the exact row ``m`` (rows, cols), at the fraction ``share`` of the way to the next."""
     here = exact[m]
     if share == 0.0:  # an exact row
         for j in range(out.size):
@@ -467,14 +522,14 @@ def between_rows(exact, m, share, out):
 
 @internal
 def at_height(foot, slope, height, out):
-    """Coordinates (cols,) at the ends of heights, of those of their feet and by how much these change per metre."""
+    """Compute coordinates (cols,) at the tops of heights from those of their feet and the change per metre of height."""
     for j in range(height.size):
         out[j] = foot[j] + np.float64(height[j]) * slope[j]
 
 
 @internal
 def _put(values, flat, start, step):
-    """Put values side by side into an array, from one place on or back from it."""
+    """Write values into an array, contiguously forwards from ``start`` or backwards."""
     count = values.size
     if step == 1:
         target = flat[start : start + count]
@@ -488,9 +543,7 @@ def _put(values, flat, start, step):
 
 @internal
 def _put_columns(values, count, flat, start, down, right):
-    """Put the first ``count`` rows of values into an array whose columns lie side by side, from one place on: in blocks that fill
-    whole lines of the cache.
-    """
+    """Write the first ``count`` rows of values into a column-major array, in blocks that fill whole cache lines."""
     for first in range(0, values.shape[1], PUT_COLUMNS):
         last = min(first + PUT_COLUMNS, values.shape[1])
         for i in range(count):
@@ -502,7 +555,7 @@ def _put_columns(values, count, flat, start, down, right):
 
 @compiled
 def _positions(exact, first_row, first_col, stride, row0, col0, height):
-    """Frame points (rows, cols, 3): the ground at height 0 plus the height along the vertical there."""
+    """Return frame points (rows, cols, 3): the ground at height 0 plus the height along the up vector there."""
     rows, cols = height.shape
     placed = interpolated(exact, first_row, first_col, stride, row0, col0, rows, cols)
     out = np.empty((rows, cols, 3))
@@ -516,7 +569,7 @@ def _positions(exact, first_row, first_col, stride, row0, col0, height):
 
 @compiled
 def _scattered(first, last, exact, first_row, first_col, stride, row, col, height, out):
-    """As ``_positions``, for single nodes; sums in the same order, so that the bits are the same."""
+    """Compute what ``_positions`` does for single nodes, with sums in the same order, so the bits are the same."""
     for n in range(first, last):
         m, w = row[n] // stride, cubic_weights((row[n] - row[n] // stride * stride) / stride)
         p, v = col[n] // stride, cubic_weights((col[n] - col[n] // stride * stride) / stride)

@@ -1,7 +1,7 @@
-"""Cells that can be no heights although nothing marks them: sentinels that a file does not declare, and heights in another unit.
+"""Detect cells that cannot be heights although nothing declares them empty: undeclared sentinels, and heights in another unit.
 
-Whatever is beyond all heights on earth is left out. A sentinel within them, as -9999, is ground to what draws it: a pit or a tower.
-It gives itself away: it is the lowest or the highest value, the cells that have it are many, and hardly any others lie near it.
+Values beyond all heights on earth are left out. A sentinel within that range, such as -9999, would be drawn as a pit or a tower. It
+is recognised by three signs: it is the lowest or the highest value, many cells have it, and hardly any other value is near it.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from skugga.terrain.level.parts import METRES_PER_UNIT
 SENTINELS = (
     -9999.0, -99999.0, -999.0, -32768.0, -32767.0, 9999.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0,
 )  # fmt: skip
-"""Values by which programs say that there is none."""
+"""Values that programs write for missing data."""
 
 HUGE = 1e9
-"""No number of any unit of heights: what is greater is a sentinel, as 1e38."""
+"""Larger numbers, such as 1e38, are sentinels: no unit gives such heights."""
 
 NEAR_SHARE = 0.25
-"""What lies nearer to a sentinel than this share of its distance to the mean of the others counts as its like."""
+"""Other values count as near a sentinel within this share of its distance to their mean."""
 
 LEAST_DISTANCE_M = 50.0
-"""From that mean: a sentinel that is no farther does no harm that could be told from ground."""
+"""Lower bound of that distance, metres: a sentinel this close to the mean is harmless, as it looks like ground."""
 
 
 @dataclass
 class UnmarkedCells:
-    """A tally of the cells of a raster, read once.
+    """Counts of implausible and sentinel cells of a raster, each cell read once.
 
     Attributes
     ----------
     cells
-        How many were read.
+        Number of cells read.
     any_beyond
-        Whether any of them, unmarked, can be no height, be it not finite.
+        Whether any undeclared cell cannot be a height, including cells that are not finite.
     beyond
-        How many are finite, no heights, and no known sentinels.
+        Number of undeclared finite cells that are neither plausible heights nor known sentinels.
     low_m, high_m
-        The lowest and the highest of these, metres.
+        Minimum and maximum of these, metres.
     """
 
     cells: int = 0
@@ -57,7 +57,7 @@ class UnmarkedCells:
     _value_beyond: float = np.nan
 
     def add(self, stored: np.ndarray, height_m: np.ndarray, marked: np.ndarray, plausible: np.ndarray) -> None:
-        """Count some cells as the file has them: their heights, which of them are marked empty, and which can be heights."""
+        """Count cells, given as stored values, heights in metres, and two masks: declared empty, and plausible as heights."""
         self.cells += stored.size
         known = plausible & ~marked
         if not (marked | plausible).all():
@@ -90,12 +90,12 @@ class UnmarkedCells:
 
     @property
     def sentinels(self) -> dict[float, int]:
-        """Values that seem to mean no height, and that nothing declares, with how many cells have them."""
+        """Undeclared values that appear to mean "no height", with the number of their cells."""
         within = {value: n for value, n in self._alike.items() if self._near[value] < n < self.cells}
         return {**within, **self._sentinels}
 
     def warnings(self, axis: VerticalAxis, but: float | None = None) -> tuple[str, ...]:
-        """What is noticed and what to write, as sentences; ``but``: a value of which another warning tells."""
+        """Return the warnings, each with its remedy. ``but`` is a value that another warning covers."""
         said = [self._of_sentinel(value, count) for value, count in sorted(self.sentinels.items()) if value != but]
         if self.beyond:
             means = (
@@ -103,21 +103,21 @@ class UnmarkedCells:
             )
             said.append(
                 f"{_share(self.beyond, self.cells)} of the raster's cells are no heights on earth and left out as holes: "
-                f"{self.range_beyond(axis)}. If they {means}are in another unit, {remedy('units', 'UNIT')}, one of "
+                f"{self.range_beyond(axis)}. If they {means}are in another unit, {remedy('units', 'UNIT')}. UNIT is one of "
                 f"{', '.join(METRES_PER_UNIT)}"
             )
         return tuple(said)
 
     def range_beyond(self, axis: VerticalAxis) -> str:
-        """From where to where the heights lie that are none, and as what they are taken."""
+        """Return the range of the implausible heights and how they were read, as a phrase."""
         ends = dict.fromkeys((f"{self.low_m:,.0f} m", f"{self.high_m:,.0f} m"))
-        return f"{' to '.join(ends)}, taken as {axis.statement}"
+        return f"{' to '.join(ends)}, read as {axis.statement}"
 
     def _of_sentinel(self, value: float, count: int) -> str:
-        effect = "far from all other heights" if value in self._alike else "no height on earth and left out"
+        effect = "far from all other heights" if value in self._alike else "no height on earth, and left out as holes"
         stated = _shortest(value)
         what = f"{_share(count, self.cells)} of the raster's cells are {stated}, {effect}"
-        return f"{what}: if that means no data, {remedy('nodata', stated)}"
+        return f"{what}. If that means no data, {remedy('nodata', stated)}"
 
 
 def _share(count: int, cells: int) -> str:
@@ -125,7 +125,7 @@ def _share(count: int, cells: int) -> str:
 
 
 def _shortest(value: float) -> str:
-    """The fewest digits that give a cell's value, which may be of 32 bits: 1e+38."""
+    """Return a cell's value with the fewest digits that identify it, such as 1e+38 for a float32."""
     if abs(value) < HUGE and value.is_integer():
         return f"{value:.0f}"
     texts = (f"{value:.{digits}g}" for digits in range(1, 18))

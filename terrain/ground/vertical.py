@@ -1,7 +1,7 @@
-"""What a raster's numbers are as heights: their unit, and whether they grow upwards or downwards.
+"""Read the vertical axis of a raster: the unit of its numbers, and whether they grow upwards or downwards.
 
-A band says its unit in words; a vertical CRS (the third axis of a compound or a three-dimensional one) has a unit and a direction:
-a depth grows downwards. What a level says goes before both, what a band says before its CRS.
+A band names its unit. A vertical CRS (the third axis of a compound or three-dimensional CRS) has a unit and a direction; a depth
+grows downwards. The level's settings take precedence over the band's, and the band's over the CRS's.
 """
 
 from __future__ import annotations
@@ -34,40 +34,40 @@ _WORDS: dict[Units, str] = {
     "fathom": "fathom fathoms fath fth fthi ftm fm",
 }
 UNIT_WORDS: dict[str, Units] = {word: unit for unit, words in _WORDS.items() for word in words.split()}
-"""What files call their units, as small letters and nothing else."""
+"""Names of units in files, in lower case and without other signs."""
 
 NO_UNIT_WORDS = ("", "1", "unknown", "undefined", "unspecified", "unitless", "none", "na")
-"""What files say that state no unit."""
+"""Words in files that state no unit."""
 
 FOOT_MARKS = ("'", "\N{PRIME}", "\N{RIGHT SINGLE QUOTATION MARK}")
 
 _PLACEHOLDERS = " \t-_./?*"
-"""Signs that stand for a unit which is not known."""
+"""Signs that stand for an unknown unit."""
 
 _LEVEL_OF_REFERENCE = re.compile(r"\s*(\(.*\)|\[.*\]|a\.?m?\.?s\.?l\.?|above\b.*)\s*$", re.IGNORECASE)
 _SAME_UNIT = 1e-7
-"""Relative difference up to which units are one: a foot and a US survey foot differ by 2e-6."""
+"""Relative tolerance within which units are equal: a foot and a US survey foot differ by 2e-6."""
 
 _DEPTH_NAMES = ("depth", "sea_floor_depth")
-"""How CF standard names of depths begin."""
+"""Prefixes of CF standard names of depths."""
 
 
 @dataclass(frozen=True)
 class VerticalAxis:
-    """The axis that a raster's numbers are counted on.
+    """The axis of a raster's numbers.
 
     Attributes
     ----------
     unit
-        A name of ``METRES_PER_UNIT``, or its length.
+        A name in ``METRES_PER_UNIT``, or the unit's length as text.
     unit_m
-        Metres of the unit.
+        Length of the unit, metres.
     unit_from, positive_from
-        Who says the unit and the direction, in words; ``None`` where nobody does.
+        Sources of the unit and the direction, in words; ``None`` if not stated.
     positive
         Whether numbers grow upwards or downwards.
     other_unit
-        Another unit that the raster states, too, in words.
+        A conflicting unit that the raster also states, in words.
     """
 
     unit: str
@@ -79,26 +79,26 @@ class VerticalAxis:
 
     @property
     def scale(self) -> float:
-        """Metres upwards of a step of 1."""
+        """Height of a step of 1, metres upwards."""
         return self.unit_m if self.positive == "up" else -self.unit_m
 
     @property
     def statement(self) -> str:
-        """Unit and direction, and who says them, as a phrase."""
-        unit = f"heights in {self.unit} ({self.unit_from or 'nothing says a unit'})"
-        return f"{unit}, positive {self.positive} ({self.positive_from or 'nothing says a direction'})"
+        """Unit and direction with their sources, as a phrase."""
+        unit = f"heights in {self.unit} ({self.unit_from or 'no unit is stated'})"
+        return f"{unit}, positive {self.positive} ({self.positive_from or 'no direction is stated'})"
 
 
 def vertical_axis(
     source: str, dataset: rasterio.DatasetReader, units: Units | None = None, positive: Positive | None = None
 ) -> VerticalAxis:
-    """The axis of the first band of an open raster; ``units`` and ``positive`` are what a level says.
+    """Return the axis of the first band of an open raster; ``units`` and ``positive`` are a level's settings.
 
-    Raises ``SourceError`` for a band's unit that is not known.
+    Raises ``SourceError`` for an unknown unit of the band.
     """
     try:
         crs = None if dataset.crs is None else CRS.from_user_input(dataset.crs.to_wkt())
-    except (CRSError, RasterioError):  # refused by who needs the CRS
+    except (CRSError, RasterioError):  # callers that need the CRS raise an error
         crs = None
     return axis_of_band(source, dataset.units[0] or "", dataset.tags(1), crs, units, positive)
 
@@ -111,9 +111,9 @@ def axis_of_band(
     units: Units | None = None,
     positive: Positive | None = None,
 ) -> VerticalAxis:
-    """The axis of numbers by their unit in words, ``""`` for none, by what the CF conventions say of them, and by their CRS.
+    """Return the axis of numbers from their unit in words (``""`` for none), their CF tags and their CRS.
 
-    Raises ``SourceError`` for a unit that is not known.
+    ``units`` and ``positive`` are a level's settings. Raises ``SourceError`` for an unknown unit.
     """
     of_crs = _axis_of_crs(crs)
     stated = None if units is None else (units, METRES_PER_UNIT[units], "by terrain.units")
@@ -131,7 +131,19 @@ def axis_of_band(
 
 @dataclass(frozen=True)
 class _CrsAxis:
-    """The third axis of a CRS, where it has one: its unit and metres of it, where it grows to, and whose it is, in words."""
+    """The third axis of a CRS.
+
+    Attributes
+    ----------
+    unit_name
+        Name of its unit; ``None`` if the CRS has no third axis.
+    unit_m
+        Length of the unit, metres.
+    positive
+        Direction in which it grows.
+    by
+        The CRS as a source, in words.
+    """
 
     unit_name: str | None = None
     unit_m: float | None = None
@@ -149,21 +161,24 @@ def _axis_of_crs(crs: CRS | None) -> _CrsAxis:
 
 
 def unit_of_band(source: str, dataset: rasterio.DatasetReader) -> Units | None:
-    """The unit that a raster's first band states; ``None`` where it states none. Raises ``SourceError``."""
+    """Return the unit that a raster's first band states, or ``None``. Raises ``SourceError`` for an unknown unit."""
     return _unit_of_band(source, dataset.units[0] or "", None)
 
 
 def _unit_of_band(source: str, word: str, crs_word: str | None) -> Units | None:
-    """The unit of a word; ``None`` for one that states none, or that of the CRS, which is no word of ours (GDAL repeats it)."""
+    """Return the unit of a word; ``None`` for a word that states none, or for the CRS's own unit name.
+
+    GDAL repeats the CRS's unit name, which may be unknown here.
+    """
     unit = unit_of_word(word)
     if unit is None and not _states_no_unit(word) and word != crs_word:
-        known = f"one of {', '.join(METRES_PER_UNIT)} or their long names; of ground, else {remedy('units', 'UNIT')}"
-        raise SourceError(source, f"unit {word} of its band", known)
+        known = f"Use one of {', '.join(METRES_PER_UNIT)} or their long names; for ground, {remedy('units', 'UNIT')}"
+        raise SourceError(source, f"the unit {word} of its band is unknown", known)
     return unit
 
 
 def unit_of_word(word: str) -> Units | None:
-    """The unit that a word means, as files write it; ``None`` for one that is not known."""
+    """Return the unit that a word in a file means; ``None`` for an unknown word."""
     if word.strip() in FOOT_MARKS:
         return "ft"
     return next((UNIT_WORDS[plain] for plain in _plain_words(word) if plain in UNIT_WORDS), None)
@@ -175,13 +190,13 @@ def _states_no_unit(word: str) -> bool:
 
 
 def _plain_words(word: str) -> tuple[str, str]:
-    """A unit's word as small letters and nothing else: the whole of it, and without the level that heights are counted from."""
+    """Return a unit's word in lower case without other signs: all of it, and without the reference level of the heights."""
     whole, alone = (re.sub(r"[\W_]+", "", text).casefold() for text in (word, _LEVEL_OF_REFERENCE.sub("", word)))
     return whole, alone
 
 
 def _name_of(unit_m: float) -> str:
-    """The name of a unit by its length, or the length."""
+    """Return the name of a unit of the given length, or the length as text."""
     return next((name for name, metres in METRES_PER_UNIT.items() if abs(unit_m / metres - 1.0) <= _SAME_UNIT), f"{unit_m:.9g} m")
 
 

@@ -1,7 +1,7 @@
-"""What a map view shows of its level's raster.
+"""Find the raster cells that a map view shows.
 
-Views of their own (a picture, a window of a map) are known by what they show. Tiles are not, nor maps whose pixels are those of
-tiles: what is true of one is said of all the level's, so that the same pixels are drawn alike.
+The answer is individual for views of their own (a picture, a window of a map). Tiles, and maps whose pixels coincide with those of
+tiles, count as showing the whole raster, so the same pixels are drawn alike.
 """
 
 from __future__ import annotations
@@ -13,24 +13,27 @@ from skugga.terrain.geo.world import transformer
 from skugga.terrain.ground.elevation import Elevation
 
 EXTENT_SAMPLES = 17
-"""Points a side of a view whose cells are found."""
+"""Samples along each side of a view that locate it in the raster."""
 
 CellRange = tuple[tuple[float, float], tuple[float, float]]
-"""First and last row, and first and last column, of a raster, counted in cells from the middle of the first."""
+"""First and last row, and first and last column, of a raster, in cells from the centre of the first one."""
 
 
 def is_block(view: MapView) -> bool:
-    """Whether a view is one of the world-fixed blocks that tiles are cut from."""
+    """Return whether a view is one of the world-fixed blocks that tiles are cut from."""
     return view.on_nodes and (view.rows, view.cols, view.row0 % BLOCK_PX, view.col0 % BLOCK_PX) == (BLOCK_PX, BLOCK_PX, 0.0, 0.0)
 
 
 def full_cell_range(elevation: Elevation) -> CellRange:
-    """All cells of a raster."""
+    """Return the range of all cells of a raster."""
     return (-0.5, elevation.rows - 0.5), (-0.5, elevation.cols - 0.5)
 
 
 def visible_cells(elevation: Elevation, view: MapView) -> CellRange | None:
-    """The cells that a map view shows and two pixels beyond its rim; all if its pixels are tiles', ``None`` if it shows none."""
+    """Return the cells that a map view shows, with a margin of two pixels: ``None`` if it shows none.
+
+    All cells are returned if the view's pixels coincide with those of tiles.
+    """
     all_cells = full_cell_range(elevation)
     if view.on_nodes:
         return all_cells
@@ -47,7 +50,7 @@ def visible_cells(elevation: Elevation, view: MapView) -> CellRange | None:
         if not np.isfinite(cells).all():
             return all_cells
         pixel = max(np.abs(np.diff(cells, axis=k)).max() * (EXTENT_SAMPLES - 1) / n for k, n in enumerate((view.rows, view.cols)))
-        bend = max(np.abs(np.diff(cells, 2, axis=k)).max() for k in (0, 1))  # of the rim between the points
+        bend = max(np.abs(np.diff(cells, 2, axis=k)).max() for k in (0, 1))  # bound on how far the rim bends between samples
         margin = 1.0 + 2.0 * pixel + bend
         low, high = max(float(cells.min() - margin), first), min(float(cells.max() + margin), last)
         if low > high:
@@ -61,7 +64,10 @@ def _axes(view: MapView) -> tuple[tuple[float, float, int], tuple[float, float, 
 
 
 def block_slices(cells: CellRange, side: int, shape: tuple[int, int], more: int = 0) -> tuple[slice, slice]:
-    """Rows and columns of a grid of some shape, each ``side`` x ``side`` cells, that lie in some cells, and ``more`` round them."""
+    """Return slices of rows and columns of a coarser grid that cover a range of cells, with ``more`` blocks round them.
+
+    ``shape`` is the grid's number of blocks, each of ``side`` x ``side`` cells.
+    """
     rows, cols = (
         slice(min(max(int((first + 0.5) // side) - more, 0), count - 1), min(int((last + 0.5) // side) + 1 + more, count))
         for (first, last), count in zip(cells, shape, strict=True)
