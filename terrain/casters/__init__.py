@@ -1,1 +1,1 @@
-"""What can shade a point: how far towards the sun to look, which ground, meshes and trees cast there, and rays through them."""
+"""Find what can cast a shadow on a point: the reach towards the sun, ground, meshes and trees within it, and rays through them."""

@@ -1,4 +1,4 @@
-"""What casts on a buffer's points, kind by kind: the same geometry for shadow maps and for rays."""
+"""Return the geometry that casts shadows on a buffer's points, by kind: the same for shadow maps and for rays."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
 Mesh = tuple[np.ndarray, np.ndarray]
-"""Vertices (n, 3) float64 in a frame and triangles (m, 3) int32."""
+"""Vertices (n, 3) float64 in a frame, and triangles (m, 3) int32."""
 
 
 def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds: tuple[CasterKind, ...]) -> Iterator[Sheet]:
-    """The ground that casts on a map's block, in its frame: its own first."""
+    """Yield the sheets of ground that cast shadows on a map's block, in its frame. The block's own ground comes first."""
     if "relief" not in kinds:
         return
     side = PATCH_QUADS + 1
@@ -42,7 +42,7 @@ def caster_sheets(scene: Scene, buffer: GeometryBuffer, casters: Casters, kinds:
 
 
 def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> list[Mesh]:
-    """The triangles that cast: a perspective view's ground, and what stands for the meshes."""
+    """Return the meshes that cast shadows: a perspective view's ground, and the casting meshes."""
     meshes: list[Mesh] = []
     if buffer.ground is not None and "relief" in kinds:
         meshes.append((buffer.ground.position_frame_m, buffer.ground.triangles))
@@ -52,27 +52,27 @@ def caster_meshes(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind,
 
 
 def anything_casts(scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> bool:
-    """Whether there is anything of some kinds that could cast on a buffer's points."""
+    """Return whether something of the given kinds can cast a shadow on a buffer's points."""
     ground = "relief" in kinds and any(part is not None for part in (buffer.surface, buffer.columns, buffer.ground))
     return ground or ("meshes" in kinds and scene.objects.solids is not None) or caster_trees(buffer, kinds) is not None
 
 
 def caster_trees(buffer: GeometryBuffer, kinds: tuple[CasterKind, ...]) -> TreeInstances | None:
-    """The trees that cast, if there are any."""
+    """Return the trees that cast shadows, or ``None``."""
     return buffer.tree_instances if "forest" in kinds else None
 
 
 def trees_in_the_way(
     instances: TreeInstances, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> TreeInstances:
-    """Those trees that reach into light-space bounds (3,) or lie before them, towards the sun."""
+    """Return the trees that intersect light-space bounds (3,) or lie between these and the sun."""
     before = np.array([low[0], low[1], -np.inf])
     return instances.some(instances.reaching(rotation, translation, before, high))
 
 
 @cached("scene", 64 * MIB)
 def closed_casters(objects: SceneObjects) -> np.ndarray:
-    """Which triangles (m,) of what stands for the meshes bound a closed body with its faces outwards, bool."""
+    """Return which triangles (m,) of the casting meshes bound a closed body with its faces outwards, bool."""
     placement = objects.placement
     casting = () if placement is None else placement.casting
     bodies = {id(placed.body): placed.body for placed in casting}  # one body may stand in many places
@@ -83,7 +83,7 @@ def closed_casters(objects: SceneObjects) -> np.ndarray:
 
 @cached("scene", 512 * MIB)
 def caster_solids(objects: SceneObjects, frame: LocalFrame) -> Mesh:
-    """What stands for the meshes in a frame; the last ones are kept."""
+    """Return the casting meshes in a frame."""
     solids = objects.solids
     assert solids is not None
     return frame.points_from_earth(solids.caster_vertices_earth_m), solids.caster_triangles

@@ -1,8 +1,9 @@
-"""Clip space of a view, for what is rasterised in it: x to the right, y down the picture (row 0 is at y = -1), depth from 1 near
-the eye to 0 infinitely far away. Float64.
+"""Compute matrices from a frame to the clip space of a view, float64.
 
-A camera's is a projection. A map has no camera: its pixels are a curved function of points. On a globe it is drawn in parts of
-``AFFINE_PART_PX`` pixels, each by the affine camera that is nearest to it; ``bend_px`` says by how much they differ.
+In clip space x points right and y down the picture (row 0 is at y = -1). Depth is 1 near the eye and 0 at infinity.
+
+A camera has a projection matrix. A map has no camera: its pixels are a curved function of points. On a globe it is drawn in parts
+of ``AFFINE_PART_PX`` pixels, each with the affine camera that fits it best; ``bend_px`` is the largest error of this fit.
 """
 
 from __future__ import annotations
@@ -20,15 +21,16 @@ AFFINE_PART_PX = 256
 """Side of the parts, in pixels."""
 
 MAX_BEND_PX = 1e9
-"""What ``bend_px`` is where no camera sees what the map shows: a descriptor has no infinity there."""
+"""Value of ``bend_px`` where no camera can see the map's area. It is finite because descriptors cannot hold infinity."""
 
 FIT_POINTS = 9
-"""So many points along a part's sides, at two heights each, that its affine camera is fitted to."""
+"""Points along each side of a part, at two heights each, that its affine camera is fitted to."""
 
 
 def camera_clip(view: PerspectiveView, frame: LocalFrame, origin_frame_m: np.ndarray, near_m: float) -> np.ndarray:
-    """Clip coordinates (4, 4) of homogeneous frame points, metres from an origin; depth is ``near_m`` over the distance along the
-    view's axis. They are those of ``terrain/shaders/visible.vert.glsl``.
+    """Return the matrix (4, 4) from homogeneous frame points, metres from an origin, to clip coordinates.
+
+    Depth is ``near_m`` over the distance along the view's axis, as in ``terrain/gbuffer/shaders/visible.vert.glsl``.
     """
     eye, camera_from_frame = view.in_frame(frame)
     right, down, forward = np.column_stack([camera_from_frame, camera_from_frame @ (origin_frame_m - eye)])
@@ -39,7 +41,7 @@ def camera_clip(view: PerspectiveView, frame: LocalFrame, origin_frame_m: np.nda
 
 
 def affine_parts(world: World, view: MapView | PerspectiveView) -> list[tuple[MapView | PerspectiveView, int, int]]:
-    """What a view is drawn in: itself, or the parts of a globe's map; each with its first row and column."""
+    """Return the parts that a view is drawn in, each with its first row and column. Only a globe's map has more than one."""
     if world.flat or isinstance(view, PerspectiveView):
         return [(view, 0, 0)]
     corners = [(row, col) for row in range(0, view.rows, AFFINE_PART_PX) for col in range(0, view.cols, AFFINE_PART_PX)]
@@ -52,8 +54,10 @@ def affine_parts(world: World, view: MapView | PerspectiveView) -> list[tuple[Ma
 def map_clip(
     world: World, frame: LocalFrame, view: MapView, origin_frame_m: np.ndarray, heights_frame_m: tuple[float, float]
 ) -> np.ndarray:
-    """Clip coordinates (4, 4) of homogeneous frame points, metres from an origin: those of the affine camera that is nearest to
-    the map between two heights above the frame's plane; depth is 0 at the lower one, 1 at the higher one.
+    """Return the matrix (4, 4) from homogeneous frame points, metres from an origin, to clip coordinates of a map.
+
+    It is the affine camera that fits the map best between two heights above the frame's plane, by least squares. Depth is 0 at
+    the lower height and 1 at the higher one.
     """
     low, high = heights_frame_m
     points, pixel = _samples(world, frame, view, low, high)
@@ -69,9 +73,9 @@ def map_clip(
 
 @cached("scene", MIB)
 def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float:
-    """How far, in pixels, the affine camera of a part lies off the map at worst: over parts at the level's corners and middle.
+    """Return the largest distance, in pixels, between the map and the affine cameras of parts at the level's corners and middle.
 
-    A function of the level and the grid alone, so that neighbouring blocks are drawn alike. ``MAX_BEND_PX`` where a part reaches
+    It depends on the level and the grid alone, so that neighbouring blocks are drawn alike. ``MAX_BEND_PX`` where a part reaches
     beyond the area of the CRS.
     """
     if scene.world.flat:
@@ -89,7 +93,7 @@ def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float
         frame = scene.world.frame_near(grid.crs, *view.centre)
         low, high = scene.height_range_m
         points, pixel = _samples(scene.world, frame, view, low, high + scene.objects.tallest_m, curved=True)
-        if not (np.isfinite(points).all() and np.isfinite(pixel).all()):  # it reaches to where the CRS has no places
+        if not (np.isfinite(points).all() and np.isfinite(pixel).all()):  # the part reaches beyond the area of the CRS
             return MAX_BEND_PX
         across = np.column_stack([points, np.ones(len(points))])
         affine, *_ = np.linalg.lstsq(across, pixel, rcond=None)
@@ -100,8 +104,10 @@ def bend_px(scene: Scene, grid: Grid, row_step: float, col_step: float) -> float
 def _samples(
     world: World, frame: LocalFrame, view: MapView, low: float, high: float, curved: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Frame points (n, 3) of a map's pixels at two heights above the frame's plane, and their columns and rows (n, 2) from the
-    corner of the first one. With ``curved`` heights are those above sea level.
+    """Return points of a map at two heights above the frame's plane, to fit an affine camera to.
+
+    The result holds frame points (n, 3), and columns and rows (n, 2) from the corner of the first pixel. With ``curved`` the
+    heights are above sea level.
     """
     row, col = np.meshgrid(*(np.linspace(0.0, size, FIT_POINTS) for size in (view.rows, view.cols)), indexing="ij")
     x = view.grid.x(view.col0 + (col - 0.5) * view.col_step)

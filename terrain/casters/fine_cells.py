@@ -1,5 +1,7 @@
-"""The cells under those of a big raster's overview, where one of these is much ground: the finer they are, the less ground beside a
-block has to be read that cannot shade it. So a block costs the same on a raster of any size.
+"""Refine cells of a big raster's overview where single cells cover much ground.
+
+Finer cells exclude more ground beside a block that cannot shade it and need not be read. So a block costs the same on a raster of
+any size.
 """
 
 from __future__ import annotations
@@ -16,8 +18,16 @@ from skugga.terrain.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class FineCells:
-    """Cells under some of an overview's (n,): rows, columns and half extents on a grid, in nodes, and their points in light space
-    (n, 3) at their highest ground.
+    """Finer cells (n,) of some of an overview's cells.
+
+    Attributes
+    ----------
+    row, col, half
+        float64 (n,), rows, columns and half extents on a grid, in nodes.
+    light_m
+        float64 (n, 3), the cells' centres at their highest ground, in light space, metres.
+    wide_m
+        The width of a cell, metres.
     """
 
     row: np.ndarray
@@ -35,8 +45,10 @@ def fine_cells(
     above: tuple[np.ndarray, np.ndarray],
     period: float | None,
 ) -> FineCells | None:
-    """The cells under those that ``of`` (bool, as the overview) names, whose columns and half extents (n,) are ``above``; ``None``
-    where the overview's are the finest that are known. Columns repeat after a ``period``.
+    """Return the finer cells of the overview's cells that the mask ``of`` (rows, cols) selects.
+
+    ``above`` holds columns and half extents (n,) of the selected cells. Columns repeat after ``period``. ``None`` if the level
+    has no finer cells.
     """
     overview, elevation = scene.elevation.overview, scene.elevation
     if overview.fine_high_m is None:

@@ -1,20 +1,22 @@
-"""A bound of the horizon of a map's block: which ground provably throws no shadow of the sun on anything that is seen there.
+"""Cull shadow casters of a map's block: find ground that provably casts no shadow of the sun on the block.
 
-Ground goes by patches of ``PATCH_QUADS`` quads, the block's own as well as those beside it, and by ``PARTS`` x ``PARTS`` parts of
-each. Of a part is kept, whatever the sun, how high and how low its nodes are, and how steep its facets. Two things prove that a
-part cannot shade a block:
+Ground is divided into patches of ``PATCH_QUADS`` quads, both under the block and beside it, and each patch into ``PARTS`` x
+``PARTS`` parts. The bounds of a part are independent of the sun: its lowest and highest node, and its steepest facets. Two
+conditions prove that a part cannot shade a block:
 
-**It is too low.** Rays to the sun are straight, and light space has the earth's curvature in its points: a part whose highest
-ground stays below the lowest ground of each own part that its rays could come from, as the sun sees them, meets none of them.
+* **The part is too low.** Rays to the sun are straight, and points in light space include the earth's curvature. As the sun sees
+  them, a part's highest ground stays below the lowest ground of each of the block's parts that its shadow could reach. Then no ray
+  meets the part.
+* **All facets of the part face the sun.** Along a ray from a receiver the ground starts at or below the ray. To rise above the ray,
+  it must rise more steeply than the ray, over a facet that does not face the sun. So the first ground that stops a ray belongs to
+  such a facet. Ground without such facets can be left out, wherever it lies and however high it is.
 
-**All of its facets face the sun.** Along a ray from a receiver the ground begins not above it. Where it comes above, it has risen
-more steeply than the ray: over a facet that does not face the sun. So the first ground that stops a ray is such a facet's, and
-ground without one may be left out, wherever it lies and however high. This needs ground without gaps: a part at whose nodes, or
-beside them, no height is known is not left out for it, nor is ground of coarser detail, which does not meet its neighbour's edge.
+  This needs ground without gaps. A part with unknown heights at its nodes or beside them is not left out for this reason, nor is
+  ground of coarser detail, which does not meet its neighbour's edge.
 
-Rays that pass below the edge of ground without a wall count as stopped there, as a sweep has it.
+Rays that pass below the edge of ground without a wall count as stopped there, as in a sweep.
 
-Both are asked of the whole disc of the sun, with what rounding and the sweep's lines may add in hand.
+Both conditions must hold for the whole disc of the sun, with a margin for rounding and for the positions of the sweep's lines.
 """
 
 from __future__ import annotations
@@ -38,42 +40,51 @@ from skugga.terrain.ground.surface import RefinedWindow, Surface, refined_row
 from skugga.terrain.scene import Scene
 
 DISC_SINE = float(np.sin(np.radians(SUN_RADIUS_DEG)))
-"""Sine of the angle from the middle of the sun's disc to its rim."""
+"""Sine of the sun's angular radius."""
 
 FACING = DISC_SINE + 1.1e-3
-"""Sine of the angle by which a facet faces the sun at least: the disc, what float32 normals are off by, and what the lengths of a
-quad's sides change by with its height.
+"""Minimum sine of the angle between a facet and the sun's centre. It covers the disc, the error of float32 normals, and the
+change of the lengths of a quad's sides with its height.
 """
 
 ROUNDED_M = 4e-3
-"""How far the two ends of a quad's side may be off together, metres: positions are float32 within 20 km of a frame's origin."""
+"""Maximum rounding error of the two ends of a quad's side together, metres: positions are float32 within 20 km of a frame's origin.
+"""
 
 BESIDE_NODES = 4
-"""So many nodes beside a ray count as on it: a sweep's lines and points stand between nodes."""
+"""Margin in nodes within which ground beside a ray counts as on it: a sweep's lines and points lie between nodes."""
 
 LEANING = 0.05
-"""By how much the sine of the sun's altitude may be larger elsewhere on a level than at its anchor, 300 km away."""
+"""Maximum increase of the sine of the sun's altitude within a level, 300 km away from its anchor."""
 
 NODES_BEYOND = 1
-"""Nodes beside a patch whose heights have to be known as well."""
+"""Nodes beside a patch whose heights must be known, too."""
 
 SIDES_AT = ((0.0, 0.0, 0.5, 1.0, 1.0), (0.0, 1.0, 0.5, 0.0, 1.0))
-"""Places in a patch at which its quads' sides are taken, as shares of its rows and columns."""
+"""Positions in a patch at which the sides of its quads are computed, as shares of its rows and columns."""
 
 PARTS = 4
-"""Parts of a patch along its side."""
+"""Parts along the side of a patch."""
 
 LONGEST_RUN = 16
-"""Patches in a row that are read at a time, at most."""
+"""Maximum number of patches in a row that are read at once."""
 
 RISE_DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1))
-"""Directions of columns and rows in which it is known how far the rises of a part's facets reach."""
+"""Directions (column, row) in which the support of the rises of a part's facets is stored."""
 
 
 @dataclass(frozen=True, eq=False)
 class PatchGround:
-    """The ground of patches (n,) of one grid, by their parts: ``low_m`` and ``high_m`` of the nodes (n, m), NaN without any, and
-    how far the rises from node to node of its facets reach in ``RISE_DIRECTIONS`` (n, m, 8), metres; and which are ``whole``.
+    """Bounds of the ground of patches (n,) of one grid, for each of their m parts.
+
+    Attributes
+    ----------
+    low_m, high_m
+        (n, m), the lowest and highest node, NaN without ground, metres.
+    rise_m
+        (n, m, 8), the maximum rise from node to node of the facets, projected on ``RISE_DIRECTIONS``, metres.
+    whole
+        bool (n, m), whether all heights of the part and beside it are known.
     """
 
     low_m: np.ndarray
@@ -82,13 +93,14 @@ class PatchGround:
     whole: np.ndarray
 
     def only(self, which: np.ndarray) -> PatchGround:
-        """The same, of some of the parts (n, m): without ground elsewhere."""
+        """Return a copy that has ground only in the parts that ``which`` (n, m) selects."""
         return replace(self, low_m=np.where(which, self.low_m, np.nan), high_m=np.where(which, self.high_m, np.nan))
 
 
 def idle_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...]) -> frozenset[Patch]:
-    """Those of the patches beside a map's block that throw no shadow of the sun on it. Columns' walls, and what shades a block in
-    the light of lamps, are not looked into.
+    """Return the patches beside a map's block that cast no shadow of the sun on it.
+
+    Returns none of them for columns, which have walls, and for levels with lamps.
     """
     if not patches or receivers.surface is None or scene.lamps:
         return frozenset()
@@ -117,7 +129,7 @@ def idle_patches(scene: Scene, receivers: Receivers, patches: tuple[Patch, ...])
 
 
 def own_ground_is_clear(scene: Scene, receivers: Receivers) -> bool:
-    """Whether the ground of a map's block shades none of it: all of it faces the whole sun, and has no gaps."""
+    """Return whether the ground of a map's block shades none of it: it faces the whole sun, and has no gaps."""
     if not own_ground_faces_sun(scene, receivers):
         return False
     ground = patch_ground(scene.world, scene.elevation, _grid_of(receivers), own_patches(receivers))
@@ -125,8 +137,9 @@ def own_ground_is_clear(scene: Scene, receivers: Receivers) -> bool:
 
 
 def own_ground_faces_sun(scene: Scene, receivers: Receivers) -> bool:
-    """Whether all facets of a map's block of smooth ground, and of the parts that it lies on, face the whole sun: none is
-    turned away.
+    """Return whether all facets of a block of smooth ground face the whole sun.
+
+    The facets are those of all parts that the block lies on.
     """
     if receivers.surface is None:
         return False
@@ -136,7 +149,7 @@ def own_ground_faces_sun(scene: Scene, receivers: Receivers) -> bool:
 
 
 def own_patches(receivers: Receivers) -> list[Patch]:
-    """The patches that a map's block lies on."""
+    """Return the patches that a map's block lies on."""
     own = receivers.surface
     assert own is not None
     rows, cols = (
@@ -147,7 +160,7 @@ def own_patches(receivers: Receivers) -> list[Patch]:
 
 
 def own_parts(receivers: Receivers) -> np.ndarray:
-    """Which parts (n, m) of these hold quads of the block."""
+    """Return which parts (n, m) of the block's own patches contain quads of the block."""
     own, quads = receivers.surface, PATCH_QUADS // PARTS
     assert own is not None
     first = np.array([(patch.row, patch.col) for patch in own_patches(receivers)])[:, None, :] * PATCH_QUADS
@@ -157,7 +170,7 @@ def own_parts(receivers: Receivers) -> np.ndarray:
 
 
 def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequence[Patch]) -> PatchGround:
-    """The ground of patches of one grid; it is read once, and serves every sun."""
+    """Return the bounds of patches of one grid. They are read once and cached for every sun."""
     owner = grid_key(world, elevation, grid)
     found = {(patch.row, patch.col): _known_patches.get(owner, patch.row, patch.col) for patch in patches}
     missing: dict[int, list[int]] = {}
@@ -175,7 +188,7 @@ def patch_ground(world: World, elevation: Elevation, grid: Grid, patches: Sequen
 
 
 def _runs(numbers: list[int]) -> list[range]:
-    """The runs of numbers, sorted and different, that follow one another; none longer than ``LONGEST_RUN``."""
+    """Return the runs of consecutive numbers, from sorted, distinct ones; none longer than ``LONGEST_RUN``."""
     runs: list[range] = []
     for number in numbers:
         if runs and runs[-1].stop == number and len(runs[-1]) < LONGEST_RUN:
@@ -186,11 +199,12 @@ def _runs(numbers: list[int]) -> list[range]:
 
 
 def facing_sun(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround) -> np.ndarray:
-    """Of which parts (n, m) of patches of one grid every facet faces all of the sun's disc, bool.
+    """Return in which parts (n, m) of patches of one grid every facet faces all of the sun's disc, bool.
 
-    A facet that rises by a from column to column and by b from row to row spans e + a u and f + b u, of a quad's sides e and f and
-    the way up u. Its normal times the sun's direction s is s (f x e) + a s (f x u) + b s (u x e): linear in a and b, of which
-    ``rise_m`` bounds the sums. It is asked for at the corners and in the middle of a patch, in each with the local sides.
+    A facet that rises by a from column to column and by b from row to row spans e + a u and f + b u. Here e and f are a quad's
+    sides and u is the vector up. Its normal times the sun's direction s is s (f x e) + a s (f x u) + b s (u x e). This is linear
+    in a and b, and ``rise_m`` bounds their weighted sums. The condition is tested at the corners and in the middle of a patch,
+    each with the local sides.
     """
     assert scene.light is not None
     to_sun = -scene.light.light_from_earth[2]
@@ -212,7 +226,10 @@ def facing_sun(scene: Scene, grid: Grid, patches: Sequence[Patch], ground: Patch
 
 
 def _farthest(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarray) -> np.ndarray:
-    """The largest ``per_right`` a + ``per_down`` b over rises (a, b) that reach so far (..., 8): by two directions beside that."""
+    """Return an upper bound of ``per_right`` a + ``per_down`` b over rises (a, b) within their supports (..., 8).
+
+    It combines the supports in the two directions nearest to (``per_right``, ``per_down``).
+    """
     across, along = np.abs(per_right), np.abs(per_down)
     axis = np.where(across >= along, np.where(per_right >= 0.0, 0, 1), np.where(per_down >= 0.0, 2, 3))
     same = (per_right >= 0.0) == (per_down >= 0.0)
@@ -228,9 +245,11 @@ def _farthest(rise_m: np.ndarray, per_right: np.ndarray, per_down: np.ndarray) -
 def _in_light(
     scene: Scene, grid: Grid, patches: Sequence[Patch], ground: PatchGround, parts: int, ground_at: Literal["lowest", "highest"]
 ) -> np.ndarray:
-    """The bounds of ``parts`` x ``parts`` parts of patches as the sun sees them, those without ground NaN: float64 (n, 8), the
-    least and then the largest coordinates to the right, up, away from the sun, and towards it along the ground, which grows along
-    a ray whatever the heights. The one up is that of all ground at its lowest or highest.
+    """Return the light-space bounds of ``parts`` x ``parts`` parts of patches, float64 (n, 8), NaN without ground.
+
+    The first four columns are minima, the last four maxima. The coordinates are to the right, up, away from the sun, and towards
+    the sun along the ground; the last one grows along a ray, whatever the heights. The coordinate up takes all ground at its
+    lowest or highest.
     """
     assert scene.light is not None
     low_m, high_m = ground.low_m, ground.high_m
@@ -244,7 +263,7 @@ def _in_light(
     in_light = scene.light.from_earth(ends)
     in_light = np.concatenate([in_light, scene.light.towards_sun_m(in_light)[..., None]], axis=-1)
     in_light[..., 1] = in_light[0 if ground_at == "lowest" else 1, ..., 1]
-    bulge = 0.0  # the earth rises above the plane of four corners by half of that at most
+    bulge = 0.0  # twice the maximum rise of the earth above the plane of four corners
     if not scene.world.flat:
         bulge = (np.linalg.norm(point - point[..., ::-1, :], axis=-1).max(axis=-1) ** 2 / (4.0 * scene.world.radius_m))[..., None]
     low, high = in_light.min(axis=(0, 3)) - bulge, in_light.max(axis=(0, 3)) + bulge
@@ -252,15 +271,17 @@ def _in_light(
 
 
 def _of_parts(corners: np.ndarray, parts: int) -> np.ndarray:
-    """The four corners (n, m, 4, 3) of each of a patch's parts, of those of all (n, parts + 1, parts + 1, 3)."""
+    """Return the four corners (n, m, 4, 3) of each part of a patch, from the corners of all parts (n, parts + 1, parts + 1, 3)."""
     four = [corners[:, i : i + parts, j : j + parts] for i in (0, 1) for j in (0, 1)]
     return np.stack(four, axis=3).reshape(len(corners), parts * parts, 4, 3)
 
 
 @compiled
 def _may_hide(out, lit, beside_m, above_m):
-    """Which parts (n, 8) may stand, as any point of the sun's disc sees them, before some of the others (m, 8): towards the sun
-    from it, and not wholly below by more than ``above_m``; what is within ``beside_m`` counts.
+    """Return which parts ``out`` (n, 8) may occlude some of the parts ``lit`` (m, 8), as seen from any point of the sun's disc.
+
+    A part may occlude another if it lies towards the sun and is not wholly lower by more than ``above_m``. ``beside_m`` is a
+    margin to the sides.
     """
     found = np.empty(len(out), np.bool_)
     for n in range(len(out)):
@@ -293,7 +314,7 @@ _known_patches: Cache[np.ndarray] = Cache(
 
 
 def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
-    """``low_m``, ``high_m``, ``whole`` and ``rise_m`` of the parts of patches that follow one another, float64 (n, m, 11)."""
+    """Return ``low_m``, ``high_m``, ``whole`` and ``rise_m`` of the parts of consecutive patches, float64 (n, m, 11)."""
     more = NODES_BEYOND
     window = surface.height_window(
         row * PATCH_QUADS - more,
@@ -310,8 +331,10 @@ def _read_patches(surface: Surface, row: int, cols: range) -> np.ndarray:
 
 @compiled
 def _parts_of(height_m, refined, row0, col0, more, quads, out):
-    """Fill the rows of ``_read_patches`` for all parts of patches that follow one another. Given are the heights of their nodes and
-    of ``more`` round them, or of those of a grid that theirs refines, from (row0, col0) on (``refined_row``).
+    """Fill the rows of ``_read_patches`` for all parts of consecutive patches.
+
+    ``height_m`` holds the heights of their nodes with ``more`` nodes on each side. If ``refined``, it holds those of the coarser
+    grid that their grid refines, from (``row0``, ``col0``) on (``refined_row``).
     """
     cols = len(out) * PARTS * quads + 1
     reach, bounds = np.empty((len(RISE_DIRECTIONS), cols), np.float32), np.empty((2, cols), np.float32)
@@ -348,10 +371,10 @@ def _parts_of(height_m, refined, row0, col0, more, quads, out):
 
 
 def rises(height_m: np.ndarray) -> np.ndarray:
-    """How far the rises (a, b) from column to column and from row to row of the facets of a sheet (rows, cols) reach in
-    ``RISE_DIRECTIONS`` (8,), however its quads are cut; 0 without any.
+    """Return the support of the rises (a, b) of the facets of a sheet (rows, cols) in ``RISE_DIRECTIONS`` (8,); 0 without facets.
 
-    A facet has one side of its quad along a row, and one along a column; each of the four pairs of them may be one's.
+    A rise is the pair of height differences from column to column and from row to row. The result holds for any cut of the quads:
+    a facet has one side of its quad along a row and one along a column, and all four pairs of them count.
     """
     reach, out = np.empty((len(RISE_DIRECTIONS), height_m.shape[1]), np.float32), np.empty(len(RISE_DIRECTIONS))
     _gather_rises(np.ascontiguousarray(height_m, np.float32), 0, reach)
@@ -359,14 +382,16 @@ def rises(height_m: np.ndarray) -> np.ndarray:
     return out
 
 
-# The next loops are written so that they compile to vector instructions: few arrays come together in one. NaN is no height.
+# The next loops are written to compile to SIMD instructions: each uses few arrays. NaN is an unknown height.
 
 
 @compiled
 def _gather_rises(height_m, more, reach):
-    """The largest and the least rises of a sheet's facets, column by column: along rows from a column to the next, along columns,
-    and the sums and differences of both, float32 (8, cols). ``more`` columns beside the sheet on either side are passed over. Sums
-    are those of float32, as heights are: of rounded sums the largest is that of the largest.
+    """Write the maximum and minimum rises of a sheet's facets for each column, float32 (8, cols).
+
+    The rows are rises along rows, rises along columns, their sums and their differences. ``more`` columns on each side of the
+    sheet are skipped. Sums are float32, as heights are: rounding keeps the order, so the largest rounded sum is the rounded
+    largest sum.
     """
     rows, cols = height_m.shape[0], reach.shape[1]
     right, next_right, down = np.empty(cols - 1, np.float32), np.empty(cols - 1, np.float32), np.empty(cols, np.float32)
@@ -392,8 +417,9 @@ def _gather_rises(height_m, more, reach):
 
 @compiled
 def _farthest_rises(reach, out):
-    """How far the rises (8, cols) of a sheet's columns of nodes reach in ``RISE_DIRECTIONS``: 0 without any. But along the columns
-    no facet of the sheet lies beyond the last one.
+    """Write the support in ``RISE_DIRECTIONS`` of the rises (8, cols) of a sheet's columns of nodes; 0 without facets.
+
+    No facet lies beyond the last column. Only rises along columns count there.
     """
     for k in range(0, len(reach), 2):
         count = reach.shape[1] if k == 2 else reach.shape[1] - 1

@@ -1,19 +1,19 @@
-"""Rays through the very triangles that are drawn: Embree, with offsets derived from its float32.
+"""Trace rays through the drawn triangles with Embree. Ray offsets are derived from its float32 precision.
 
-Few rays of one direction are walked through sheets of nodes instead (``skugga.terrain.casters.sheet_rays``), from the same starts:
-their float64 needs no offset as large, but what is asked at offsets is to be the same.
+A few rays in one direction are traced through sheets of nodes instead (``skugga.terrain.casters.sheet_rays``). They start at the
+same points: their float64 needs no offset as large, but results should not depend on the method.
 
-**Offset.** Embree works in float32. Coordinates are taken from the middle of the geometry, so that with X the largest one
-every vertex and every origin is off by at most half a unit in the last place per axis: sqrt(3) X 2^-24. A triangle's plane and a
-start on it may so be apart by twice that; the intersection itself adds a few units more (Embree's own bound for its robust
-Pluecker tests is of that order). With a factor of two in hand
+**Offset.** Embree works in float32. Coordinates are relative to the middle of the geometry. With the largest coordinate X, each
+vertex and each origin is off by at most half a unit in the last place per axis: sqrt(3) X 2^-24. A triangle's plane and a start
+on it may thus be apart by twice that. The intersection itself adds a few units more (Embree's own bound for its robust
+Pluecker tests is of that order). With a safety factor of two
 
     e = 16 X 2^-24        (1 mm per kilometre of extent)
 
-is enough for a start lifted by e along the triangle's normal not to meet its own triangle. It is too much only for what
-lies within e of the surface; whoever needs to know asks at 2e and 4e too and mistrusts answers that differ.
+suffices: a ray that starts e above its triangle, along the normal, does not meet that triangle. The offset only affects geometry
+within e of the surface. Callers that need to detect this also trace rays with offsets 2e and 4e and discard answers that differ.
 
-**Alpha.** A ray goes on through texels below the threshold and stops at those above it, from either side.
+**Alpha.** A ray passes texels below the threshold and stops at those above it, from either side.
 """
 
 from __future__ import annotations
@@ -35,19 +35,30 @@ from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
 OFFSET_ULPS = 16.0
 MAX_LAYERS = 256
-"""Transparent surfaces a ray may pass before it counts as stopped."""
+"""Maximum number of transparent surfaces that a ray passes before it counts as stopped."""
 
 TRIANGLE_BYTES = 128
-"""About what Embree holds of a triangle, its share of the tree over them included."""
+"""Approximate memory of a triangle in Embree, with its share of the BVH."""
 
 
 @dataclass(frozen=True, eq=False)
 class AlphaMesh:
-    """Two-sided triangles with a mask: opaque where the texture reaches the threshold.
+    """Two-sided triangles with an alpha mask: opaque where the texture reaches the threshold.
 
-    ``vertices_m`` (n, 3) float64, ``triangles`` (m, 3) int, ``uv`` (n, 2) in [0, 1] with v = 0 at the texture's first row,
-    ``alpha`` (h, w) or (layers, h, w) in [0, 1], read bilinearly between texel centres and clamped at the border; ``layer``
-    (m,) the layer of each triangle.
+    Attributes
+    ----------
+    vertices_m
+        float64 (n, 3), metres.
+    triangles
+        int (m, 3), vertex indices.
+    uv
+        (n, 2) in [0, 1], texture coordinates; v = 0 is the texture's first row.
+    alpha
+        (h, w) or (layers, h, w) in [0, 1], read bilinearly between texel centres and clamped at the border.
+    threshold
+        The minimum alpha of opaque texels.
+    layer
+        (m,), each triangle's layer of ``alpha``.
     """
 
     vertices_m: np.ndarray
@@ -59,12 +70,26 @@ class AlphaMesh:
 
 
 class RayScene:
-    """What rays can meet: sheets of nodes; meshes of vertices (n, 3) and triangles (m, 3); and alpha-tested meshes. All float64
-    in one frame, metres.
+    """The geometry that rays can meet, float64 in one frame, metres.
 
-    ``offset_m`` is the derived distance by which a start is lifted off its triangle. ``walked``: rays are few and all in one
-    direction, so they are walked through the sheets (``skugga.terrain.casters.sheet_rays``); else Embree takes these as well, which
-    makes a copy of them and sorts it first.
+    Parameters
+    ----------
+    sheets
+        Sheets of nodes.
+    meshes
+        Vertices (n, 3) and triangles (m, 3) of each opaque mesh.
+    alpha
+        Alpha-tested meshes.
+    walked
+        Trace rays through the sheets themselves (``skugga.terrain.casters.sheet_rays``), for few rays in one direction. Otherwise
+        Embree takes the sheets, too: it copies and sorts them first.
+
+    Attributes
+    ----------
+    offset_m
+        The derived distance by which a ray's start is lifted off its triangle.
+    nbytes
+        Approximate memory in bytes.
     """
 
     def __init__(
@@ -91,11 +116,11 @@ class RayScene:
         self._alpha = [self._embree([(mesh.vertices_m, mesh.triangles)]) for mesh in self._alpha_meshes]
 
     def _embree(self, parts: list[tuple[np.ndarray, np.ndarray]]) -> Any:
-        """Embree's scene, which has no type of its own, of some triangles."""
+        """Return Embree's scene of triangles. It has no static type. Raises ``RenderError`` without the package embreex."""
         try:
             from embreex import mesh_construction, rtcore_scene
         except ImportError:
-            raise RenderError("rays need the package embreex: pip install 'skugga[truth]'") from None
+            raise RenderError("embreex: the package is not installed. Run: pip install 'skugga[truth]'.") from None
 
         scene = rtcore_scene.EmbreeScene(robust=True)
         for vertices, triangles in parts:
@@ -104,13 +129,13 @@ class RayScene:
         return scene
 
     def blocked(self, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray | None = None) -> np.ndarray:
-        """Whether a ray (n, 3) from a start towards a unit direction (3,) or (n, 3) meets anything opaque: bool (n,).
+        """Return whether rays from starts (n, 3) towards unit directions (3,) or (n, 3) meet opaque geometry, bool (n,).
 
-        ``length_m`` (n,) is how far the rays go: what lies beyond stops none. ``None``: without end. Where sheets are walked all
-        rays have one direction, and no end: raises ``ValueError``.
+        ``length_m`` (n,) limits the rays' lengths; ``None`` means no limit. Raises ``ValueError`` where sheets are traced
+        directly and rays have several directions or a length.
         """
         if self._walked is not None and (np.ndim(direction) > 1 or length_m is not None):
-            raise ValueError(f"direction: {np.shape(direction)}, with lengths or not; rays through walked sheets: (3,), without")
+            raise ValueError(f"direction: walked sheets take (3,) and no lengths, not {np.shape(direction)}. Pass walked=False.")
         start = (start_m - self._centre).astype(np.float32)
         along = np.ascontiguousarray(np.broadcast_to(np.asarray(direction, np.float32), start.shape))
         stopped = np.zeros(len(start), bool)
@@ -156,7 +181,7 @@ class RayScene:
 
 
 def bounds_of(vertices: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the largest coordinates (3,) of points (..., 3) that are known; 0 without any."""
+    """Return minimum and maximum coordinates (3,) of the finite points (..., 3); 0 without points."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for points in vertices:
         _widen(points.reshape(-1, 3), low, high)
@@ -172,8 +197,9 @@ def _widen(points, low, high):
 
 
 def sample_alpha(alpha: np.ndarray, uv: np.ndarray, layer: np.ndarray | None = None) -> np.ndarray:
-    """A texture (h, w), or layers (n,) of one (layers, h, w), at (n, 2) coordinates in [0, 1]: bilinear between texel
-    centres, clamped at the border.
+    """Sample a texture (h, w), or one (layers, h, w) at layers (n,), at coordinates (n, 2) in [0, 1].
+
+    Sampling is bilinear between texel centres and clamped at the border.
     """
     height, width = alpha.shape[-2:]
     x = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
@@ -182,7 +208,7 @@ def sample_alpha(alpha: np.ndarray, uv: np.ndarray, layer: np.ndarray | None = N
 
 
 def trees_as_mesh(instances: TreeInstances) -> AlphaMesh:
-    """The trees' quads as alpha-tested triangles, with their full-resolution textures."""
+    """Return the trees' quads as alpha-tested triangles, with their full-resolution textures."""
     count = len(instances)
     first = np.arange(count * 3, dtype=np.int32)[:, None] * 4
     triangles = (first[:, None, :] + np.array([[0, 1, 2], [0, 2, 3]], np.int32)).reshape(-1, 3)

@@ -1,11 +1,13 @@
-"""How far towards the sun ground can still throw a shadow on a block, and which ground does.
+"""Find how far towards the sun ground can still cast a shadow on a block, and which ground does.
 
-Everything here goes by light space, where the earth's curvature is in the points already: ground can shade a block if it
-lies before the block's farthest receiver, within its width, and not wholly below its lowest receiver as the sun sees it.
-The candidates come from the raster's overview, those near a block that is small beside its cells from what is known of these
-(``skugga.terrain.casters.fine_cells``); the ground that casts is then read on the block's own grid (so that
-neighbouring blocks see identical casters), and ever more coarsely from ``FULL_DETAIL_NODES`` on, sooner where the grid is much
-finer than the raster.
+All tests are in light space, where points include the earth's curvature. Ground can shade a block if it lies before the block's
+farthest receiver, within its width, and not wholly below its lowest receiver as the sun sees it.
+
+* Candidates are cells of the raster's overview. Near a block that is small beside them, finer cells replace them
+  (``skugga.terrain.casters.fine_cells``).
+* The casting ground is then read on the block's own grid, so that neighbouring blocks see identical casters. Its detail halves from
+  ``FULL_DETAIL_NODES`` on, and again at each doubling of the distance; it starts sooner where the grid is much finer than the
+  raster.
 """
 
 from __future__ import annotations
@@ -40,32 +42,42 @@ from skugga.terrain.ground.surface import NodeHeights
 from skugga.terrain.scene import Scene
 
 PATCH_QUADS = 256
-"""Side of a patch of casters in quads; patches lie on multiples of it, counted from the grid's origin."""
+"""Side of a patch of casters in quads. Patches lie on multiples of it from the grid's origin."""
 
 FULL_DETAIL_NODES = 4096
-"""Casters up to this far from a block are read on the block's own grid, up to twice as far at half its detail, ..."""
+"""Maximum distance in nodes from a block at which casters are read on the block's own grid. Up to twice as far they have half its
+detail, and so on.
+"""
 
 NODES_A_CELL, LEAST_DETAIL_NODES = 16, 2 * PATCH_QUADS
-"""Where nodes lie closer than this many to a raster's cell, they show its bilinear ground and nothing new: full detail ends as many
-times sooner, but no sooner than this. Else maps of centimetres would read ground in millions of patches.
+"""Grid nodes per side of a raster cell above which full detail ends sooner, in proportion, and the minimum distance in nodes at
+which it ends. Denser nodes show the raster's bilinear ground and nothing new. Otherwise maps of centimetres would read millions
+of patches.
 """
 
 CELL_SLACK = 1.5
-"""How far from an overview cell's centre its ground may be, in cells, with a margin."""
+"""Maximum distance of an overview cell's ground from its centre, in cells, with a margin."""
 
 COARSE_CELL_NODES = PATCH_QUADS / 4
-"""Overview cells of a greater half extent, in nodes, are looked at in finer ones."""
+"""Half extent in nodes above which overview cells are refined."""
 
 UNKNOWN_RELIEF_M = 1500.0
-"""What ground beyond the raster is taken to rise to above a block's lowest point, unless the level itself is higher."""
+"""Assumed maximum height of ground beyond the raster above a block's lowest point. A higher level raises it."""
 
 
 @dataclass(frozen=True)
 class Reach:
-    """How far towards the sun casters count, in metres from the block's edge.
+    """The distance towards the sun within which casters count, in metres from the block's edge.
 
-    ``needed_m``: as far as known ground can throw a shadow on the block; where the data ends sooner, as far as unknown
-    ground could. ``used_m``: as far as ground was really looked at. ``clipped``: the data ends before ``needed_m``.
+    Attributes
+    ----------
+    used_m
+        The distance within which ground was examined.
+    needed_m
+        The distance at which known ground can cast a shadow on the block. Where the data ends sooner, the distance at which unknown
+        ground could.
+    clipped
+        Whether the data ends before ``needed_m``.
     """
 
     used_m: float
@@ -83,7 +95,10 @@ class Patch:
 
 
 def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True, radius_m: float = EARTH_RADIUS_M) -> float:
-    """How far ground of a relief throws its shadow: L of H = L tan(a) + L^2 / 2R (no terrestrial refraction), metres."""
+    """Return the length of the longest shadow of ground with a relief, metres.
+
+    It is L of H = L tan(a) + L^2 / 2R, without terrestrial refraction.
+    """
     if relief_m <= 0:
         return 0.0
     slope = np.tan(np.radians(max(altitude_deg, 0.0)))
@@ -93,11 +108,14 @@ def longest_shadow_m(relief_m: float, altitude_deg: float, curved: bool = True, 
 
 
 STARTS = 64
-"""Points of a perspective view from which the way to the sun is followed to the end of the data."""
+"""Approximate number of points of a perspective view from which rays to the sun are followed to the end of the data."""
 
 
 class Receivers(Protocol):
-    """What can be shaded: points (rows, cols, 3) in a frame where ``there`` is one, and a map's ground. So is a geometry buffer."""
+    """Points that can be shaded.
+
+    They are points (rows, cols, 3) in a frame with the valid mask ``there``, and a map's ground. A geometry buffer is one.
+    """
 
     @property
     def view(self) -> MapView | PerspectiveView: ...
@@ -120,9 +138,16 @@ class Receivers(Protocol):
 
 @dataclass(frozen=True)
 class Casters:
-    """What can shade a block besides its own ground: patches of ground outside, and how far they were looked for.
+    """The ground outside a block that can shade it.
 
-    ``idle`` are those of the patches that provably throw no shadow on the block (``skugga.terrain.casters.horizon_bound``).
+    Attributes
+    ----------
+    patches
+        Patches of this ground.
+    reach
+        The distance within which they were searched.
+    idle
+        Patches that provably cast no shadow on the block (``skugga.terrain.casters.horizon_bound``).
     """
 
     patches: tuple[Patch, ...]
@@ -131,7 +156,7 @@ class Casters:
 
     @property
     def casting(self) -> tuple[Patch, ...]:
-        """The patches that may throw a shadow on the block."""
+        """The patches that may cast a shadow on the block."""
         return tuple(patch for patch in self.patches if patch not in self.idle)
 
 
@@ -139,7 +164,10 @@ NO_CASTERS = Casters((), Reach(0.0, 0.0, False))
 
 
 def casters_of(scene: Scene, buffer: GeometryBuffer) -> Casters:
-    """The ground outside a map's block that can shade it, and the reach. In perspective all ground is in the buffer already."""
+    """Return the ground outside a map's block that can shade it, and the reach.
+
+    In perspective all ground is in the buffer already.
+    """
     if not isinstance(buffer.view, MapView):
         return Casters((), reach_of(scene, buffer))
     towards_lamps = _lamp_patches(scene, buffer) if buffer.there.any() else ()
@@ -150,21 +178,21 @@ def casters_of(scene: Scene, buffer: GeometryBuffer) -> Casters:
 
 
 def reach_of(scene: Scene, buffer: GeometryBuffer) -> Reach:
-    """How far ground that can shade a buffer's points was looked for, where all there is of it is in the buffer."""
+    """Return the reach of casters on a buffer's points, where the buffer already holds all ground."""
     if not _sun_shines(scene, buffer):
         return NO_CASTERS.reach
     return _reach(scene, buffer, _towards_m(scene, buffer, _can_shade(scene, buffer)))
 
 
 def reach_over(scene: Scene, nodes: BareNodes) -> Reach:
-    """How far ground that can shade nodes of bare ground counts."""
+    """Return the reach of casters on nodes of bare ground."""
     if not _sun_shines(scene, nodes):
         return NO_CASTERS.reach
     return _reach(scene, nodes, _towards_m(scene, nodes, _cells_beside(scene, nodes)[0]))
 
 
 def casters_in_sun(scene: Scene, receivers: Receivers) -> tuple[Patch, ...]:
-    """The ground outside a map's block that can throw the sun's shadow on it."""
+    """Return the ground outside a map's block that can shade it from the sun."""
     if not _sun_shines(scene, receivers):
         return ()
     return _patches(scene, receivers)[0]
@@ -175,13 +203,16 @@ def _sun_shines(scene: Scene, buffer: Receivers) -> bool:
 
 
 def _can_shade(scene: Scene, buffer: Receivers) -> np.ndarray:
-    """Which of the overview's cells lie, as the sun sees them, before a buffer's points, bool (rows, cols)."""
+    """Return which of the overview's cells lie between a buffer's points and the sun, bool (rows, cols)."""
     light, slack = _overview_in_light(scene)
     return _before(scene, buffer, light, slack)
 
 
 def _before(scene: Scene, buffer: Receivers, light_m: np.ndarray, slack_m: float) -> np.ndarray:
-    """Which points in light space (..., 3) lie, as the sun sees them, before a buffer's points, or less than ``slack_m`` beside."""
+    """Return which points in light space (..., 3) lie between a buffer's points and the sun.
+
+    Points that miss it by less than ``slack_m`` count, too.
+    """
     assert scene.light is not None
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
     found: np.ndarray = (
@@ -192,7 +223,7 @@ def _before(scene: Scene, buffer: Receivers, light_m: np.ndarray, slack_m: float
 
 
 def _reach(scene: Scene, buffer: GeometryBuffer | BareNodes, known_m: float) -> Reach:
-    made = scene.loaded.level.terrain.source is None  # a made ground ends where it ends: nothing is unknown beyond
+    made = scene.loaded.level.terrain.source is None  # generated ground has no unknown ground beyond its edge
     limit_m, unknown_m = (known_m, known_m) if made else _data_limit(scene, buffer)
     if limit_m >= unknown_m:
         return Reach(known_m, known_m, False)
@@ -200,7 +231,7 @@ def _reach(scene: Scene, buffer: GeometryBuffer | BareNodes, known_m: float) -> 
 
 
 def _on_grid(buffer: Receivers) -> tuple[Grid, NodeHeights | ColumnWindow]:
-    """The grid of a map's block and its own ground on it: of columns, that of the raster's cells."""
+    """Return the grid of a map's block and its own ground on it. For columns it is the grid of the raster's cells."""
     if buffer.columns is not None:
         return buffer.columns.window.columns.grid, buffer.columns.window
     assert isinstance(buffer.view, MapView) and buffer.surface is not None
@@ -208,7 +239,7 @@ def _on_grid(buffer: Receivers) -> tuple[Grid, NodeHeights | ColumnWindow]:
 
 
 def _lamp_patches(scene: Scene, buffer: Receivers) -> tuple[Patch, ...]:
-    """The ground between a block and the level's lamps, on the block's own grid up to ``FULL_DETAIL_NODES`` from it."""
+    """Return the ground between a block and the level's lamps, on the block's own grid, within ``FULL_DETAIL_NODES``."""
     grid, own = _on_grid(buffer)
     rows, cols = own.shape
     found: dict[Patch, None] = {}
@@ -230,7 +261,7 @@ def _lamp_patches(scene: Scene, buffer: Receivers) -> tuple[Patch, ...]:
 
 
 def _towards_m(scene: Scene, buffer: Receivers, can: np.ndarray) -> float:
-    """How far the overview's cells that ``can`` shade a buffer go on towards the sun from its receivers, metres."""
+    """Return how far the overview's cells that ``can`` selects extend towards the sun from a buffer's receivers, metres."""
     assert scene.light is not None
     if not can.any():
         return 0.0
@@ -240,7 +271,10 @@ def _towards_m(scene: Scene, buffer: Receivers, can: np.ndarray) -> float:
 
 @cached("light", 256 * MIB)
 def _overview_in_light(scene: Scene) -> tuple[np.ndarray, float]:
-    """Light-space points of the overview's cells at their highest ground (NaN in holes), and a cell's diameter, metres."""
+    """Return the overview's cells at their highest ground, and a cell's diameter, metres.
+
+    The cells are points in light space (rows, cols, 3), NaN in holes.
+    """
     point, up = _overview_on_earth(scene.world, scene.elevation)
     assert scene.light is not None
     top = point + up * scene.elevation.overview.high_m[..., None]
@@ -266,9 +300,9 @@ def _overview_cell_m(scene: Scene) -> float:
 
 @cached("scene", 256 * MIB)
 def overview_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Row and column of the overview's cells on a grid, and half a cell's extent there with a margin, in nodes.
+    """Return row and column of the overview's cells on a grid, and half a cell's extent there with a margin, in nodes.
 
-    Columns run on across the antimeridian, in one piece.
+    Columns are continuous across the antimeridian.
     """
     x, y = _overview_xy(elevation)
     if grid.crs != elevation.crs:
@@ -287,7 +321,7 @@ def overview_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[np
 
 
 def _columns_round_the_earth(grid: Grid) -> float | None:
-    """Columns of a grid after which it meets itself; ``None`` where it does not."""
+    """Return the number of a grid's columns round the earth; ``None`` unless the grid meets itself."""
     if grid.crs.is_geographic:
         return 360.0 / grid.step
     return 2.0 * np.pi * WGS84.a / grid.step if epsg_of(grid.crs) == 3857 else None
@@ -295,7 +329,15 @@ def _columns_round_the_earth(grid: Grid) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class _CellsInSun:
-    """Overview cells that can shade a block, on its grid: rows, columns, half extents, distances from the block, in nodes (n,)."""
+    """Overview cells that can shade a block.
+
+    Attributes
+    ----------
+    row, col, half
+        float64 (n,), rows, columns and half extents on the block's grid, in nodes.
+    away
+        float64 (n,), distances from the block, in nodes.
+    """
 
     row: np.ndarray
     col: np.ndarray
@@ -304,7 +346,11 @@ class _CellsInSun:
 
 
 def _cells_beside(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _CellsInSun]:
-    """The overview's cells that can shade a block: which lie outside of it, bool (rows, cols); and what of them can, in nodes."""
+    """Return the overview's cells that can shade a block.
+
+    The mask (rows, cols) selects those outside the block. The ``_CellsInSun`` include cells under the block, refined where
+    necessary.
+    """
     can = _can_shade(scene, buffer)
     grid, own = _on_grid(buffer)
     row, col, half = overview_on_grid(scene.world, scene.elevation, grid)
@@ -326,7 +372,7 @@ def _cells_beside(scene: Scene, buffer: Receivers) -> tuple[np.ndarray, _CellsIn
 
 
 def _away(own: NodeHeights | ColumnWindow, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """How far places (n,) are from a block's own ground, in nodes."""
+    """Return the distances of positions (n,) from a block's own ground, in nodes; 0 on it."""
     rows, cols = own.shape
     beside = [own.row0 - row, row - (own.row0 + rows - 1), own.col0 - col, col - (own.col0 + cols - 1), np.zeros_like(row)]
     away: np.ndarray = np.maximum.reduce(beside)
@@ -334,9 +380,10 @@ def _away(own: NodeHeights | ColumnWindow, row: np.ndarray, col: np.ndarray) -> 
 
 
 def _patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]:
-    """Patches under the overview's cells that can shade the block, and the farthest such cell towards the sun, metres.
+    """Return patches under the overview's cells that can shade the block, and the distance of the farthest cell.
 
-    A cell may be larger than a patch and than the block: it counts at each level of detail within that level's distance.
+    The distance is measured towards the sun, in metres. A cell may be larger than a patch and than the block: it counts at each
+    level of detail within that level's distance.
     """
     outside, cells = _cells_beside(scene, buffer)
     (grid, own), row, col, half, away = _on_grid(buffer), cells.row, cells.col, cells.half, cells.away
@@ -371,14 +418,14 @@ def _patches(scene: Scene, buffer: Receivers) -> tuple[tuple[Patch, ...], float]
 
 
 def _full_detail_nodes(scene: Scene, grid: Grid) -> int:
-    """How far from a block, in nodes, casters are read on the block's own grid."""
+    """Return the distance from a block, in nodes, within which casters are read on the block's own grid."""
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     share = NODES_A_CELL * scene.surface(grid).step_m / cell_m
     return int(np.clip(FULL_DETAIL_NODES * share, LEAST_DETAIL_NODES, FULL_DETAIL_NODES))
 
 
 def _in_the_way(scene: Scene, buffer: Receivers, patches: list[Patch]) -> list[Patch]:
-    """Those of some patches of one level whose ground, if it were the level's highest, could shade the block."""
+    """Return the patches, all of one level, that could shade the block if they were as high as the level's highest ground."""
     if not patches:
         return []
     assert scene.light is not None
@@ -387,14 +434,14 @@ def _in_the_way(scene: Scene, buffer: Receivers, patches: list[Patch]) -> list[P
     point, up = scene.world.ground(grid.crs, grid.x(middle[:, 1]), grid.y(middle[:, 0]))
     low, high = light_bounds(buffer.position_frame_m, buffer.there, *scene.light.from_frame(buffer.frame))
     in_light = scene.light.from_earth(point + scene.height_range_m[1] * up)
-    slack = quads * scene.surface(grid).step_m * 1.5  # half a diagonal, doubled: map scale varies over a level
+    slack = quads * scene.surface(grid).step_m * 1.5  # twice half a diagonal: map scale varies over a level
     in_window = (in_light[:, 0] >= low[0] - slack) & (in_light[:, 0] <= high[0] + slack) & (in_light[:, 1] >= low[1] - slack)
     keep = in_window & (in_light[:, 2] <= high[2] + slack + np.ptp(scene.height_range_m)) | ~np.isfinite(in_light).all(axis=1)
     return [patch for patch, kept in zip(patches, keep, strict=True) if kept]
 
 
 def _distinct(spans: np.ndarray) -> list[list[int]]:
-    """The distinct rows of an integer array, by way of one number each (``np.unique`` over rows is 20 times slower)."""
+    """Return the distinct rows of an integer array, by one key each (``np.unique`` over rows is 20 times slower)."""
     if not len(spans):
         return []
     first = spans.min(axis=0)
@@ -404,12 +451,12 @@ def _distinct(spans: np.ndarray) -> list[list[int]]:
 
 
 def _inside(row: int, col: int, quads: int, row0: int, col0: int, rows: int, cols: int) -> bool:
-    """Whether a patch lies wholly in the block's own window, which casts anyway."""
+    """Return whether a patch lies wholly in the block's own window, which casts anyway."""
     return row >= row0 and col >= col0 and row + quads <= row0 + rows - 1 and col + quads <= col0 + cols - 1
 
 
 def _sunward_edge_m(light: LightSpace, buffer: Receivers) -> float:
-    """How far the block's receivers reach towards the sun, as ``LightSpace.towards_sun_m`` counts."""
+    """Return how far the block's receivers reach towards the sun, as ``LightSpace.towards_sun_m`` counts."""
     rotation, translation = light.from_frame(buffer.frame)
     row, offset = light.towards_sun_m(rotation.T), light.towards_sun_m(translation)
     _, high = light_bounds(buffer.position_frame_m, buffer.there, np.tile(row, (3, 1)), np.full(3, offset))
@@ -417,7 +464,7 @@ def _sunward_edge_m(light: LightSpace, buffer: Receivers) -> float:
 
 
 def _rim(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of pixels on the rim of what is there: the ends of nine rows and nine columns."""
+    """Return rows and columns of pixels on the rim of a valid mask: the ends of nine rows and nine columns."""
     ends = []
     for axis, mask in enumerate((there, there.T)):
         lines = np.flatnonzero(mask.any(axis=1))
@@ -429,7 +476,7 @@ def _rim(there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, np.ndarray, np.ndarray, tuple[float, float]]:
-    """Places among a buffer's receivers from which the way to the sun is looked at: CRS, x, y, and the view's middle."""
+    """Return positions among a buffer's receivers from which rays to the sun are examined: CRS, x, y, and the view's middle."""
     view = buffer.view
     if isinstance(view, MapView):
         i, j = _rim(buffer.shown if isinstance(buffer, BareNodes) else buffer.there)
@@ -443,7 +490,10 @@ def _starts(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[CRS, np.n
 
 
 def _data_limit(scene: Scene, buffer: GeometryBuffer | BareNodes) -> tuple[float, float]:
-    """How far towards the sun the raster goes on from the block's receivers (the worst of them), and how far it should."""
+    """Return how far towards the sun the raster extends from the block's receivers, and how far it should, metres.
+
+    The receiver where the raster ends soonest decides.
+    """
     assert scene.sun is not None and scene.light is not None
     lowest = float(np.nanmin(buffer.height_m))
     relief = max(scene.height_range_m[1] - lowest, UNKNOWN_RELIEF_M)

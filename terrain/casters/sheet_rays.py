@@ -1,12 +1,12 @@
-"""Rays in one direction through sheets of nodes, walked through the sheets themselves: nothing is copied, and little is built.
+"""Trace rays in one direction through sheets of nodes, with rotated nodes and a small acceleration structure.
 
-Seen along the rays a ray is a point, and stops at any triangle that covers it there and lies farther on. So nodes are turned
-until the rays run along the third axis. Boxes round tiles of quads, and round four of these, and so on, say which triangles can
-cover a point: a pyramid over rows and columns, as maximum mipmaps are over heights (Tevs, Ihrke and Seidel 2008), takes one pass
-over the nodes, where a tree that is sorted takes seconds.
+In the plane perpendicular to the rays a ray is a point. It stops at any triangle that covers the point and lies farther on. So
+nodes are rotated until the rays run along the third axis. A pyramid of bounding boxes over tiles of quads finds the triangles
+that can cover a point. It corresponds to maximum mipmaps over heights (Tevs, Ihrke and Seidel 2008). Building it takes one pass
+over the nodes, where a sorted tree (BVH) takes seconds.
 
-Two triangles that share a side ask the same function of the same two nodes for it, whose signs are exact opposites: no ray slips
-through between them. All is float64.
+The tests are watertight: two triangles that share a side evaluate the same edge function of the same two nodes, with exactly
+opposite signs, so no ray passes between them. All numbers are float64.
 """
 
 from __future__ import annotations
@@ -21,16 +21,25 @@ from skugga.terrain.compiled import CORES, compiled, internal, on_cores
 from skugga.terrain.ground.sheet import Sheet
 
 LEAST_TILE_QUADS = 4
-"""Quads along a side of the lowest tiles: all of them are looked at where a ray meets the tile's box."""
+"""Quads along a side of the lowest tiles. All quads of a tile are tested where a ray meets the tile's box."""
 
 
 class Pyramids(NamedTuple):
-    """Sheets as the loop takes them, one behind the other.
+    """Concatenated arrays of all sheets for the compiled loops.
 
-    ``node`` (n, 3) float64 turned so that rays run along the third axis, and ``falls`` (m,) the quads' cuts. ``sheet`` (k, 5)
-    int64: the first node, the nodes of a row, the first quad, the first and the last level of each in ``level`` (l, 3) int64: the
-    first box, and rows and columns of boxes. ``box`` (b, 5) float64: the least and largest first and second coordinates, and the
-    largest third one, of what is in it.
+    Attributes
+    ----------
+    node
+        float64 (n, 3), nodes rotated so that rays run along the third axis.
+    falls
+        bool (m,), the cuts of the quads.
+    sheet
+        int64 (k, 5) for each sheet: its first node, the nodes of a row, its first quad, and its first and last index in ``level``.
+    level
+        int64 (l, 3) for each pyramid level: its first box, and its rows and columns of boxes.
+    box
+        float64 (b, 5), bounds of a box: minimum and maximum of the first and of the second coordinate, and maximum of the third
+        one.
     """
 
     node: np.ndarray
@@ -41,7 +50,7 @@ class Pyramids(NamedTuple):
 
 
 class SheetRays:
-    """What rays can meet of sheets, all in one frame; points are counted from ``centre_m`` (3,) of it."""
+    """Ray queries on sheets in one frame. Coordinates are relative to its point ``centre_m`` (3,)."""
 
     def __init__(self, sheets: Iterable[Sheet], centre_m: np.ndarray) -> None:
         self._sheets = [sheet for sheet in sheets if sheet.falls.size]
@@ -50,7 +59,7 @@ class SheetRays:
         self.nbytes = 2 * sum(sheet.position_frame_m.nbytes for sheet in self._sheets)
 
     def blocked(self, start_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Whether rays from starts (n, 3) towards one unit direction (3,) meet a triangle: bool (n,)."""
+        """Return whether rays from starts (n, 3) towards one unit direction (3,) meet a triangle: bool (n,)."""
         if not self._sheets:
             return np.zeros(len(start_m), bool)
         axes, pyramids = _axes_along(direction), self._along(tuple(map(float, direction)))
@@ -58,7 +67,7 @@ class SheetRays:
         return np.concatenate(on_cores(partial(_blocked, pyramids), parts))
 
     def _along(self, direction: tuple[float, ...]) -> Pyramids:
-        """The sheets turned along a direction; those of the last one are kept."""
+        """Return the sheets rotated along a direction. The last ones are cached."""
         if self._last is None or self._last[0] != direction:
             self._last = direction, self._turned(direction)
         return self._last[1]
@@ -90,7 +99,10 @@ class SheetRays:
 
 
 def _axes_along(direction: np.ndarray) -> np.ndarray:
-    """Unit axes (3, 3), the last one a direction, the first one level where that can be: so ground has the flattest boxes."""
+    """Return unit axes (3, 3) with the last one along a direction.
+
+    The first one is horizontal where possible, so that boxes of ground are flattest.
+    """
     along = np.asarray(direction, np.float64) / np.linalg.norm(direction)
     level = np.cross([0.0, 0.0, 1.0] if abs(along[2]) < 0.999 else [0.0, 1.0, 0.0], along)
     level /= np.linalg.norm(level)
@@ -99,7 +111,7 @@ def _axes_along(direction: np.ndarray) -> np.ndarray:
 
 @compiled
 def _build(pyramids, number, position, centre, axes):
-    """Put in a sheet's turned nodes and its boxes."""
+    """Write a sheet's rotated nodes and its boxes."""
     first, per_row, _, low, high = pyramids.sheet[number]
     rows, cols, _ = position.shape
     node, box, level = pyramids.node, pyramids.box, pyramids.level
@@ -139,7 +151,7 @@ def _fill(box, at, a0, a1, b0, b1, d1):
 
 @compiled
 def _blocked(pyramids, start):
-    """Which turned starts (n, 3) have a triangle before them, bool (n,)."""
+    """Return which rotated starts (n, 3) have a triangle ahead, bool (n,)."""
     out = np.zeros(len(start), np.bool_)
     stack = np.empty((256, 3), np.int64)
     for n in range(len(start)):
@@ -153,7 +165,7 @@ def _blocked(pyramids, start):
 
 @internal
 def _meets(pyramids, number, a, b, d, stack):
-    """Whether a ray meets a triangle of a sheet."""
+    """Return whether a ray meets a triangle of a sheet."""
     _, _, _, low, high = pyramids.sheet[number]
     box, level = pyramids.box, pyramids.level
     if not _in_box(box, level[high, 0], a, b, d):
@@ -178,13 +190,13 @@ def _meets(pyramids, number, a, b, d, stack):
 
 @internal
 def _in_box(box, at, a, b, d):
-    """Whether what is in a box may cover a point, farther along the rays."""
+    """Return whether the contents of a box may cover a point, farther along the rays."""
     return box[at, 2] <= b and b <= box[at, 3] and box[at, 0] <= a and a <= box[at, 1] and box[at, 4] > d
 
 
 @internal
 def _meets_tile(pyramids, number, i, j, a, b, d):
-    """Whether a ray meets a triangle of a tile of quads."""
+    """Return whether a ray meets a triangle of a tile of quads."""
     first, per_row, first_quad, _, _ = pyramids.sheet[number]
     last = pyramids.sheet[number + 1, 2] if number + 1 < len(pyramids.sheet) else len(pyramids.falls)
     node, cols = pyramids.node, per_row - 1
@@ -193,7 +205,7 @@ def _meets_tile(pyramids, number, i, j, a, b, d):
         for c in range(j * LEAST_TILE_QUADS, min((j + 1) * LEAST_TILE_QUADS, cols)):
             at = first + r * per_row + c
             below = at + per_row
-            # The third axis first: most of what lies round a start lies behind it.
+            # Test the third axis first: most triangles round a start lie behind it.
             if not (node[at, 2] > d or node[at + 1, 2] > d or node[below, 2] > d or node[below + 1, 2] > d):
                 continue
             if node[at, 1] < b and node[at + 1, 1] < b and node[below, 1] < b and node[below + 1, 1] < b:
@@ -210,11 +222,12 @@ def _meets_tile(pyramids, number, i, j, a, b, d):
 
 @internal
 def _covers(node, p, q, r, a, b, d):
-    """Whether a triangle of three nodes covers a point, sides and corners included, farther along the rays; not one seen edge-on,
-    nor with a missing corner.
+    """Return whether a triangle of three nodes covers a point, with its sides and corners, farther along the rays.
+
+    Triangles seen edge-on, or with a missing corner, cover nothing.
     """
     pa, pb, qa, qb, ra, rb = node[p, 0] - a, node[p, 1] - b, node[q, 0] - a, node[q, 1] - b, node[r, 0] - a, node[r, 1] - b
-    # Of two nodes given the other way round each is the exact negative.
+    # Swapping the two nodes of an edge negates its edge function exactly.
     e, f, g = qa * rb - qb * ra, ra * pb - rb * pa, pa * qb - pb * qa
     if not ((e >= 0.0 and f >= 0.0 and g >= 0.0) or (e <= 0.0 and f <= 0.0 and g <= 0.0)):
         return False

@@ -1,8 +1,8 @@
-"""The slopes of a ground's facets: how far they reach in every direction, so that any sun can be held against all of them at once.
+"""Bound the slopes of a ground's facets in every direction, to compare any sun with all facets at once.
 
-A facet with the normal (-a, -b, 1), in the east-north-up axes of the level's anchor, faces the sun (e, n, u) if u > a e + b n. Over
-all facets the right side is largest and least at a corner of the convex hull of the slopes (a, b). Kept is the hull's support in
-``DIRECTIONS`` directions: the polygon that these bound holds the hull, and exceeds it by 0.12 % at most.
+A facet with the normal (-a, -b, 1), in the east-north-up axes of the level's anchor, faces the sun (e, n, u) if u > a e + b n.
+Over all facets the right side is largest and least at a corner of the convex hull of the slopes (a, b). The hull is stored by its
+support function in ``DIRECTIONS`` directions. The polygon that these bound contains the hull, and exceeds it by 0.12 % at most.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from skugga.terrain.ground.surface import Surface
 DIRECTIONS = 64
 
 MAX_SLOPE = 50.0
-"""Slopes beyond this (89 degrees, or ground on another side of the earth) are not told apart: nothing is known then."""
+"""Maximum slope that is resolved: 89 degrees. Beyond it, or on another side of the earth, the result is unknown."""
 
 
 def above_slopes(reach: np.ndarray | None, to_sun_enu: np.ndarray) -> tuple[float | None, float | None]:
-    """u - (a e + b n) over all facets, least and most, for slopes that reach so far: whether they face the sun.
+    """Return minimum and maximum of u - (a e + b n) over all facets with slopes within the support ``reach``.
 
-    ``None`` where nothing is known of the slopes.
+    Facets with a positive value face the sun. ``None`` where the slopes are unknown.
     """
     if reach is None:
         return None, None
     turn = 2.0 * np.pi / DIRECTIONS
     angle, after = np.arange(DIRECTIONS) * turn, np.roll(reach, -1)
-    # Corners of the polygon: where the lines of two neighbouring directions meet.
+    # Corners of the polygon: intersections of the lines of neighbouring directions.
     across = (after - reach * np.cos(turn)) / np.sin(turn)
     corners = np.column_stack([reach * np.cos(angle) - across * np.sin(angle), reach * np.sin(angle) + across * np.cos(angle)])
     along = corners @ to_sun_enu[:2]
@@ -41,13 +41,17 @@ def above_slopes(reach: np.ndarray | None, to_sun_enu: np.ndarray) -> tuple[floa
 
 
 Corridor = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Part of a frame: rows (2, 3) and offsets (2,) of two coordinates of points, and the least and largest values (2, 2) of each."""
+"""Part of a frame. Rows (2, 3) and offsets (2,) map points to two coordinates; (2, 2) holds the minimum and maximum of each."""
 
 
 def above_mesh(
     world: World, ground: GroundMesh, frame: LocalFrame, corridor: Corridor, to_sun_enu: np.ndarray
 ) -> tuple[float | None, float | None]:
-    """The same over those facets of a perspective view's ground, in its frame, that reach into a corridor; infinite without any."""
+    """Return minimum and maximum of u - (a e + b n) over facets of a perspective view's ground that intersect a corridor.
+
+    The mesh and the corridor are in the view's frame. Both values are infinite without facets, and ``None`` where a facet is too
+    steep.
+    """
     rows, offsets, bounds = corridor
     to_frame = frame.frame_from_earth @ world.earth_from_anchor
     least, most = _above(ground.position_frame_m, ground.triangles, rows, offsets, bounds, to_frame @ to_sun_enu, to_frame[:, 2])
@@ -56,7 +60,7 @@ def above_mesh(
 
 @cached("scene", 64 * MIB)
 def grid_slopes(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | None:
-    """How far the slopes of a map's ground, all of the level's, reach, (``DIRECTIONS``,); ``None`` if it cannot be said."""
+    """Return the support (``DIRECTIONS``,) of the slopes of the level's whole ground on a map grid; ``None`` if it is unknown."""
     surface, reach, directions = Surface(world, elevation, grid), _nothing(), _directions()
     (first_row, last_row), (first_col, last_col) = extent_on_grid(world, elevation, grid)
     for row in range(first_row, last_row, BLOCK_PX):
@@ -73,13 +77,13 @@ def grid_slopes(world: World, elevation: Elevation, grid: Grid) -> np.ndarray | 
 
 @cached("scene", MIB)
 def node_count(world: World, elevation: Elevation, grid: Grid) -> int:
-    """How many nodes of a grid lie on a raster, about."""
+    """Return the approximate number of nodes of a grid that lie on a raster."""
     rows, cols = extent_on_grid(world, elevation, grid)
     return (rows[1] - rows[0] + 1) * (cols[1] - cols[0] + 1)
 
 
 def extent_on_grid(world: World, elevation: Elevation, grid: Grid) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First and last row and column of a grid that a raster covers."""
+    """Return first and last row, and first and last column, of a grid that a raster covers."""
     row, col, half = overview_on_grid(world, elevation, grid)
     known = np.isfinite(row) & np.isfinite(col) & np.isfinite(half)
     if not known.any():
@@ -105,8 +109,11 @@ def _known(reach: np.ndarray) -> np.ndarray | None:
 
 @compiled
 def _take(normals, anchor_from_frame, directions, reach):
-    """Stretch ``reach`` to the slopes of normals (n, 3) of any length; all of it to infinity where one is too steep to have any."""
-    inner = 0.0  # no slope shorter than this can stretch anything
+    """Extend the support ``reach`` by the slopes of normals (n, 3) of any length.
+
+    All of it becomes infinite if a facet is too steep to have a slope.
+    """
+    inner = 0.0  # slopes shorter than this cannot extend the support
     t = anchor_from_frame
     for i in range(len(normals)):
         x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]

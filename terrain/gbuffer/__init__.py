@@ -1,1 +1,1 @@
-"""The geometry buffer: which triangle each pixel shows, at which point, with which normal; samples where something ends."""
+"""Geometry buffers: the triangle, the point and the normal that each pixel shows, with extra samples at edges."""

@@ -1,6 +1,6 @@
-"""Anti-aliased pictures: more samples in every pixel where something ends, one elsewhere.
+"""Anti-aliasing: several samples in each pixel on an edge, one sample elsewhere (adaptive multisampling).
 
-The samples are rows of pixels below the picture's own in one buffer, so that algorithms fill them like any others.
+The samples are rows of pixels below the picture's own rows in one buffer, so that algorithms fill them like any other pixel.
 """
 
 from __future__ import annotations
@@ -24,28 +24,38 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
 SIDE = 2
-"""The samples of a pixel where something ends lie on a grid of so many a side; its own point counts as one more."""
+"""Side of the sample grid of a pixel on an edge. The pixel's own point is one more sample."""
 
 EVERY, DIAGONAL = (0, 1, 2, 3), (0, 3)
-"""Which of the grid's places are taken: all, or two where edges are ..."""
+"""The positions of the sample grid in use: all, or two diagonal ones in pictures with many edges (``DENSE``)."""
 
 DENSE = 0.12
-"""... in more than this share of the pixels, as in woods."""
+"""Share of pixels on edges above which the diagonal samples are used, as in woods."""
 
 BEND = 0.9
-"""Cosine between the normals of neighbouring faces of meshes below which an edge lies between them."""
+"""Cosine between the normals of neighbouring mesh faces below which an edge lies between them."""
 
 JUMP = 0.02
-"""Share of the distance by which a neighbour may lie farther away without an edge between them."""
+"""Maximum difference between the distances of two neighbours without an edge between them, as a share of the smaller distance."""
 
 CROSS = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
-"""A pixel and those beside it, which decide whether something ends in it: rows and columns from it."""
+"""Row and column offsets of a pixel and its four neighbours, which decide whether the pixel lies on an edge."""
 
 
 @dataclass(frozen=True, eq=False)
 class MultisampledBuffer:
-    """A picture's buffer with samples below it: its own rows, the pixels (n,) that the samples are of (``each`` of them, in
-    order; the last row may be filled up with repetitions).
+    """A picture's buffer with samples below it.
+
+    Attributes
+    ----------
+    buffer
+        The picture's own rows, then rows of samples.
+    rows
+        The number of the picture's own rows.
+    pixels
+        Rows and columns (n,) of the pixels that have samples.
+    each
+        Samples of each of these pixels. Samples follow one another in the order of ``pixels``; padding repeats the last one.
     """
 
     buffer: GeometryBuffer
@@ -55,12 +65,12 @@ class MultisampledBuffer:
 
     @property
     def sampled(self) -> bool:
-        """Whether any pixels have samples."""
+        """Whether any pixel has samples."""
         return len(self.pixels[0]) > 0
 
     @cached_property
     def own(self) -> GeometryBuffer:
-        """The picture's own pixels alone."""
+        """The buffer of the picture's own pixels, without samples."""
         if not self.sampled:
             return self.buffer
         shape = self.buffer.there.shape
@@ -72,7 +82,7 @@ class MultisampledBuffer:
         return replace(self.buffer, **changes)
 
     def pixels_of(self, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The picture's pixels (rows and columns) that rows and columns of the buffer belong to."""
+        """Return rows and columns of the picture's pixels that rows and columns of the buffer belong to."""
         sample = np.flatnonzero(row >= self.rows)
         row, col = row.copy(), col.copy()
         if len(sample):
@@ -82,7 +92,7 @@ class MultisampledBuffer:
         return row, col
 
     def averaged(self, linear: np.ndarray) -> np.ndarray:
-        """The picture (rows, cols, k) of what was computed for all points: means of the samples where there are any."""
+        """Return the picture (rows, cols, k) of linear values of all points: the mean over each pixel's samples."""
         out = linear[: self.rows].copy()
         samples = linear[self.rows :].reshape(-1, linear.shape[-1])
         in_shares(len(self.pixels[0]), _mix_in, *self.pixels, samples, self.each, out)
@@ -90,18 +100,19 @@ class MultisampledBuffer:
 
 
 def finer_view(view: PerspectiveView) -> PerspectiveView:
-    """The view of the same camera whose pixels the samples of a view are."""
+    """Return the view of the same camera that has a pixel for each possible sample."""
     return view.finer(SIDE)
 
 
 def samples_per_pixel(edge_share: float) -> float:
-    """How many further samples a perspective view's pixels get in the mean, where something ends in such a share of them."""
+    """Return the mean number of extra samples of a perspective view's pixel, from the share of pixels on edges."""
     return edge_share * len(DIAGONAL if edge_share > DENSE else EVERY)
 
 
 def picture_buffer(scene: Scene, view: MapView | PerspectiveView) -> MultisampledBuffer:
-    """The buffer that a view (a block, if it is a map) is drawn from. Where edges run in a map only its shadows tell: samples come
-    later (``skugga.shadows.map_edges``).
+    """Return the buffer that a view (a block, if it is a map) is drawn from.
+
+    A map has no samples yet: its edges are known once its shadows are (``skugga.shadows.map_edges``).
     """
     return MultisampledBuffer(geometry_of(scene, view), view.rows) if isinstance(view, MapView) else multisampled(scene, view)
 
@@ -112,8 +123,11 @@ def _made_from(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
 
 @cached("scene", 512 * MIB, key=_made_from, most=1)
 def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
-    """A view's buffer with samples wherever something ends in it. The last one is kept: it is the same under any sun."""
-    multisampled.cache.clear()  # the last one goes before the next one takes its room
+    """Return a perspective view's buffer with samples in the pixels on edges.
+
+    The cache holds the last one: it is the same under any sun.
+    """
+    multisampled.cache.clear()  # free the last one's memory before the next one is allocated
     frame = view.frame(scene.world)
     visible = RasterisedView(scene, view, frame)
     normals = mesh_normals(scene.objects)
@@ -135,26 +149,31 @@ def multisampled(scene: Scene, view: PerspectiveView) -> MultisampledBuffer:
 
 @cached("scene", 128 * MIB)
 def mesh_normals(objects: SceneObjects) -> np.ndarray:
-    """Unit normals (m, 3) float32 of the faces of a population's meshes."""
+    """Return the unit normals (m, 3) float32 of the faces of the meshes."""
     solids = objects.solids
     return np.zeros((0, 3), np.float32) if solids is None else face_normals(solids.vertices_earth_m, solids.triangles)
 
 
 def edges_between(number: np.ndarray, depth: np.ndarray, ground: int, normals: np.ndarray, near_m: float) -> np.ndarray:
-    """Where something ends: bool (rows, cols), both pixels beside an edge. Of each pixel, the number of its triangle (the first
-    ``ground`` are the ground's, then come the meshes', which have normals (m, 3)), and ``near_m`` over its distance along the axis.
+    """Return the mask (rows, cols) of pixels on edges, on both sides of each edge.
+
+    ``number`` counts triangles from 1: the first ``ground`` are the ground's, then come those of the meshes, with normals (m, 3).
+    ``depth`` is ``near_m`` over the distance along the view's axis.
     """
     return _edges(number, depth, ground, normals, near_m, BEND, JUMP)
 
 
 def edges_in_neighbours(number: np.ndarray, away_m: np.ndarray, ground: int, normals: np.ndarray) -> np.ndarray:
-    """The same (n,) of single pixels, the first of ``CROSS`` along the last axis of numbers and distances (n, 5)."""
+    """Return which single pixels (n,) lie on edges.
+
+    The last axis of ``number`` and of the distances ``away_m`` (n, 5) follows ``CROSS``: the pixel itself first.
+    """
     return _crossed(number, away_m, ground, normals, BEND, JUMP)
 
 
 @compiled
 def _mix_in(first, last, row, col, samples, each, out):
-    """Put the mean of a pixel and its samples, which follow one another (n * each, k), into the picture."""
+    """Write the mean of each pixel and its samples, which are consecutive rows of ``samples`` (n * each, k), to the picture."""
     for n in range(first, last):
         for k in range(out.shape[2]):
             total = samples[n * each, k]
@@ -195,7 +214,10 @@ def _crossed(number, away, ground, normals, bend, jump):
 
 @internal
 def _ends(own, other, here, there, ground, normals, bend, jump):
-    """Whether something ends between two neighbours: triangles counted from 0 (below: none) at distances along the view's axis."""
+    """Return whether an edge lies between two neighbours.
+
+    Triangles count from 0 (negative: none). ``here`` and ``there`` are distances along the view's axis.
+    """
     if own == other:
         return False
     if _kind(own, ground, len(normals)) != _kind(other, ground, len(normals)):

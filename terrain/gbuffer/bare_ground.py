@@ -1,8 +1,7 @@
-"""What a map's pixels show of bare ground, whatever the sun: kept, so that another sun shades it anew and reads nothing.
+"""The bare ground in a map's pixels, independent of the sun. It is cached: shading under another sun reads no heights.
 
-A geometry buffer knows each pixel's triangle, which takes ten times as long. Ground that is shaded needs its height, its smooth
-normal and its share of the sky. The numbers are those of a geometry buffer (``skugga.terrain.gbuffer.geometry``), for pixels on
-nodes.
+A geometry buffer also has each pixel's triangle, which takes ten times as long. Shading needs the ground's height, smooth normal
+and sky view factor. They equal those of a geometry buffer (``skugga.terrain.gbuffer.geometry``) of pixels on nodes.
 """
 
 from __future__ import annotations
@@ -34,12 +33,26 @@ from skugga.terrain.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class BareGround:
-    """The ground in a map's pixels: ``there`` bool (rows, cols), where there is any. All else is of a ``window`` of the pixels,
-    beside which there is none.
+    """The ground in a map's pixels.
 
-    ``height_m`` float32 (r, c); ``normal_frame`` float32 (r, c, 3), the smooth unit normal; ``up_frame`` float32 (r, c, 3), the
-    unit vector away from the earth's centre; ``sky_share`` float32 (r, c), how much of the sky is seen; all four mean something
-    where there is ground.
+    Arrays of a window have the shape (r, c) or (r, c, 3). Their values are defined where there is ground.
+
+    Attributes
+    ----------
+    view, frame
+        The view, and its local frame.
+    there
+        bool (rows, cols), valid mask: the pixel shows ground.
+    window
+        The rows and columns of pixels that contain all ground.
+    height_m
+        float32 (r, c), metres.
+    normal_frame
+        float32 (r, c, 3), the smooth unit normal.
+    up_frame
+        float32 (r, c, 3), the unit vector away from the earth's centre.
+    sky_share
+        float32 (r, c), the share of the sky that the ground sees.
     """
 
     view: MapView
@@ -53,21 +66,21 @@ class BareGround:
 
     @property
     def window_view(self) -> MapView:
-        """The window's pixels."""
+        """The view of the window's pixels."""
         down, right = self.window
         return self.view.part(down.start, right.start, down.stop - down.start, right.stop - right.start)
 
 
 def bare_ground(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround | None:
-    """The bare ground in the pixels of a map on its grid's nodes; its share of the sky with what ground hides of it, or without.
+    """Return the bare ground in the pixels of a map on its grid's nodes.
 
-    ``None`` where ground is so narrow that it has no smooth normal.
+    With ``sky`` the sky share also excludes sky that other ground hides. ``None`` where ground is too narrow for a smooth normal.
     """
     return _bare_ground(scene.world, scene.elevation, view, sky)
 
 
 def forget_ground_before(most: int) -> None:
-    """Let go of the ground of all blocks but the ``most`` seen last: of a raster that is gone through once."""
+    """Trim the cache to the ``most`` blocks used last, for a raster that is processed once from end to end."""
     _bare_ground.cache.trim(most)
 
 
@@ -104,7 +117,10 @@ def _bare_ground(world: World, elevation: Elevation, view: MapView, sky: SkyView
 
 
 def _finder_of(sky: SkyView | None, frame: LocalFrame, pixel_m: float) -> tuple[Any, ...]:
-    """What the loop below needs of a ``SkyView``, its lattice apart: numba compiles it without where there is none."""
+    """Return the arguments of ``_smooth_ground`` that a ``SkyView`` determines, without its lattice.
+
+    Where the lattice is ``None``, numba compiles the loop without the code that uses it.
+    """
     if sky is None:
         nothing, no_values = np.zeros(2), np.zeros(0, np.float32)
         level = pyramid_level(np.zeros((1, 3), np.int64), 1.0)
@@ -121,17 +137,18 @@ def _smooth_ground(
     across, first_row, stride, row0, height, shown, reach, centre,
     lattice, frame_from_earth, origin, plane, axes, first, step, values, level, cells_a_node,
 ):  # fmt: skip
-    """Normals, directions up, shares of the sky and where there is ground (rows, cols) in a window that has ``reach`` nodes
-    round it; and whether all of it has normals.
+    """Return normals, directions up, sky shares and valid mask (rows, cols) of a window, and whether all of its ground has normals.
+
+    The inputs have ``reach`` more nodes on each side.
     """
     side = 2 * reach + 1
     rows, cols = height.shape[0] - 2 * reach, height.shape[1] - 2 * reach
-    points = np.empty((side, 3, height.shape[1]))  # of the rows round the one that is worked on
-    whole = np.empty(side, np.bool_)  # which of these have all their points
+    points = np.empty((side, 3, height.shape[1]))  # ring buffer of the rows round the current one
+    whole = np.empty(side, np.bool_)  # whether each of these rows has all its points
     normal, share = np.empty((rows, cols, 3), np.float32), np.empty((rows, cols), np.float32)
     up = np.empty((rows, cols, 3), np.float32)
     there = np.empty((rows, cols), np.bool_)
-    own_normal, place = np.empty((3, cols), np.float32), np.empty((2, cols))  # of the row that is worked on
+    own_normal, place = np.empty((3, cols), np.float32), np.empty((2, cols))  # of the current row
     complete = True
     for i in range(-reach, rows + reach):
         turn = (i + reach) % side
@@ -166,20 +183,20 @@ def _smooth_ground(
 
 @internal
 def _all_known(z, height):
-    """Whether a row has all its points."""
+    """Return whether a row has all its points."""
     missing = 0
     for j in range(z.size):
         missing += 0 if np.isfinite(z[j]) & np.isfinite(height[j]) else 1
     return missing == 0
 
 
-# The next loops are written so that they compile to vector instructions: rows lie side by side, slices have their lengths, few
-# arrays come together in one, and what does not change in one is a number.
+# The next loops are written to compile to SIMD instructions: components are separate contiguous rows, slices have equal lengths,
+# each loop uses few arrays, and loop invariants are scalars.
 
 
 @internal
 def _open_sky_of_row(px, py, pz, normal, centre, share):
-    """What slopes leave of the sky by themselves."""
+    """Write the share of the sky above the plane of each point's slope."""
     nx, ny, nz = normal[0], normal[1], normal[2]
     for j in range(share.size):
         x, y, z = px[j] - centre[0], py[j] - centre[1], pz[j] - centre[2]
@@ -188,7 +205,7 @@ def _open_sky_of_row(px, py, pz, normal, centre, share):
 
 @internal
 def _up_of_row(px, py, pz, centre, out):
-    """Unit vectors up."""
+    """Write unit vectors up."""
     for j in range(px.size):
         x, y, z = px[j] - centre[0], py[j] - centre[1], pz[j] - centre[2]
         length = np.sqrt(x * x + y * y + z * z)
@@ -197,7 +214,7 @@ def _up_of_row(px, py, pz, centre, out):
 
 @internal
 def _places_of_row(px, py, pz, height, frame_from_earth, origin, plane, axes, first, step, place):
-    """Where points lie in the plane of a ``CellFinder``."""
+    """Write the positions of points in the plane of a ``CellFinder``."""
     m00, m10, m20 = frame_from_earth[0, 0], frame_from_earth[1, 0], frame_from_earth[2, 0]
     m01, m11, m21 = frame_from_earth[0, 1], frame_from_earth[1, 1], frame_from_earth[2, 1]
     m02, m12, m22 = frame_from_earth[0, 2], frame_from_earth[1, 2], frame_from_earth[2, 2]
@@ -223,7 +240,10 @@ def _places_of_row(px, py, pz, height, frame_from_earth, origin, plane, axes, fi
 
 @internal
 def _cells_of_row(place, first, step, lattice, cells_a_node):
-    """Take places in a finder's plane to rows and columns of the grid of what is hidden: runs of them lie in one square."""
+    """Convert positions in a finder's plane to rows and columns of the grid of hidden sky, in place.
+
+    Consecutive positions in one square of the lattice are converted together.
+    """
     x, y, begin, by = place[0], place[1], (first[0], first[1]), (step[0], step[1])
     rows, cols = lattice.shape[0], lattice.shape[1]
     square_j, square_i = np.empty(x.size, np.int32), np.empty(x.size, np.int32)
@@ -247,7 +267,7 @@ def _cells_of_run(across, down, corners, at_j, at_i, cells_a_node):
 
 @internal
 def _hide_row(row, col, values, level, share):
-    """Take from a row's shares of the sky what ground hides there."""
+    """Reduce a row's sky shares by the share that ground hides."""
     hidden = np.empty(share.size)
     hidden_on_row(values, level, row, col, hidden)
     for j in range(share.size):
@@ -257,7 +277,7 @@ def _hide_row(row, col, values, level, share):
 
 @internal
 def _points_of_row(across, first_row, stride, row, height, out):
-    """Frame points (3, cols) of a row of nodes, from exact rows' points and verticals (6, m, cols)."""
+    """Write frame points (3, cols) of a row of nodes from points and verticals (6, m, cols) of exact rows."""
     coarse = row // stride
     weights = (row - coarse * stride) / stride
     m = coarse - first_row
@@ -270,7 +290,10 @@ def _points_of_row(across, first_row, stride, row, height, out):
 
 @internal
 def _known_in_row(height, shown, row, reach, there):
-    """Where a row's nodes show ground: those that are a corner of a triangle. A quad that misses one corner is one."""
+    """Write which nodes of a row show ground: those that are a corner of a triangle.
+
+    A quad with one missing corner still has one triangle.
+    """
     for j in range(there.size):
         col = j + reach
         known = False
@@ -286,7 +309,10 @@ def _known_in_row(height, shown, row, reach, there):
 
 @internal
 def _normals_inside(above, here, below, reach, there, out):
-    """Smooth unit normals (3, cols) in a row round which nothing is missing; whether all of its ground has one."""
+    """Write smooth unit normals (3, cols) of a row without missing neighbours.
+
+    Returns whether all ground in the row has a normal.
+    """
     cols = there.size
     west_x, west_y, west_z = here[0, :cols], here[1, :cols], here[2, :cols]
     east = 2 * reach
@@ -310,7 +336,10 @@ def _normals_inside(above, here, below, reach, there, out):
 
 @internal
 def _unit_normal(ax, ay, az, bx, by, bz):
-    """The length of a cross product and its unit vector, which is rounded on the way as that of a geometry buffer is."""
+    """Return the length of a cross product, and its unit vector.
+
+    The vector is rounded to float32 as in a geometry buffer, then normalised again.
+    """
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     length = np.sqrt(x * x + y * y + z * z)
     x, y, z = np.float64(np.float32(x / length)), np.float64(np.float32(y / length)), np.float64(np.float32(z / length))
@@ -320,7 +349,7 @@ def _unit_normal(ax, ay, az, bx, by, bz):
 
 @internal
 def _put_normals(normal, there, out):
-    """Put a row's normals (3, cols) where there is ground into an array (cols, 3), zeros elsewhere."""
+    """Copy a row's normals (3, cols) to an array (cols, 3) where the row is valid; zeros elsewhere."""
     nx, ny, nz = normal[0], normal[1], normal[2]
     for j in range(there.size):
         if there[j]:
@@ -331,7 +360,10 @@ def _put_normals(normal, there, out):
 
 @internal
 def _normals_of_row(above, here, below, reach, there, out):
-    """The same (3, cols) where there is ground, one-sided at its rim."""
+    """Write smooth unit normals (3, cols) of a row where it is valid, one-sided at the ground's rim.
+
+    Returns whether all ground in the row has a normal.
+    """
     complete = True
     for j in range(there.size):
         if not there[j]:

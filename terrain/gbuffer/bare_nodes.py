@@ -1,4 +1,4 @@
-"""Nodes of a map's ground on which nothing stands, by their heights alone: a geometry buffer takes ten times as long to make."""
+"""Nodes of bare ground without objects, by their heights alone. A geometry buffer takes ten times as long to compute."""
 
 from __future__ import annotations
 
@@ -14,19 +14,28 @@ from skugga.terrain.ground.surface import NodeHeights, RefinedWindow, Surface
 from skugga.terrain.scene import Scene
 
 HALO = 2
-"""Rows and columns of nodes round a view whose heights are read with it."""
+"""Extra rows and columns of nodes on each side of a view."""
 
 BOUNDING_NODES = 33
-"""Rows and columns of nodes whose points stand for all: the earth bends by less than a metre between them."""
+"""Maximum rows and columns of the nodes that bound all others: the earth bends by less than a metre between them."""
 
 
 @dataclass(frozen=True, eq=False)
 class BareNodes:
-    """A view (rows, cols) of nodes of a map's ground.
+    """The nodes of a map's bare ground in a view (rows, cols).
 
-    ``per_pixel`` of them lie along the side of a pixel that shows their mean. ``surface`` holds their heights and those round them.
-    What bounds them are points of some: ``position_frame_m`` (2, n, 3) float64 in the frame, at the lowest and the highest of the
-    heights; ``there`` (2, n) says which are known.
+    Attributes
+    ----------
+    view, frame
+        The view, with one node in each pixel, and its local frame.
+    per_pixel
+        Nodes along the side of a displayed pixel, which shows their mean.
+    surface
+        The nodes' heights, with ``HALO`` more nodes on each side.
+    position_frame_m
+        float64 (2, n, 3), points that bound the ground: some of the nodes, at the lowest and at the highest of all heights.
+    there
+        bool (2, n), valid mask of these points.
     """
 
     view: MapView
@@ -38,21 +47,21 @@ class BareNodes:
 
     @property
     def height_m(self) -> np.ndarray:
-        """Heights (rows, cols) float32, NaN where there is no ground."""
+        """Heights (rows, cols) float32, NaN without ground, metres."""
         return self.surface.height_m[HALO:-HALO, HALO:-HALO]
 
     @property
     def columns(self) -> None:
-        """None of them lie on columns."""
+        """``None``: bare nodes never lie on columns."""
 
     @property
     def shown(self) -> np.ndarray:
-        """Which nodes (rows, cols) show ground."""
+        """bool (rows, cols), whether a node shows ground."""
         return self.surface.there[HALO:-HALO, HALO:-HALO]
 
 
 def bare_nodes(scene: Scene, view: MapView, per_pixel: int) -> BareNodes:
-    """The nodes of a view whose every pixel is one. The last ones are kept: they are the same under every sun."""
+    """Return the nodes of a view that has a node in every pixel. They are cached: they are the same under every sun."""
     return _bare_nodes(scene.world, scene.elevation, view, per_pixel)
 
 

@@ -1,12 +1,13 @@
-"""What the pixels of a coarse map cover: the nodes of a finer grid, whose mean a pixel shows.
+"""Supersample the pixels of a coarse map: compute shadows on finer nodes and average them in each pixel (a box filter).
 
-Heights that are averaged over a pixel lose the ridges that throw shadows. So where a map's pixels are larger than the raster's
-cells (or than the level's ``resolution``, if that is coarser), shadows are found on nodes that lie closer: pixels are cut into
-2 x 2, 4 x 4, 8 x 8 ... until the pieces are nearest to the data's size, but for the bound on the nodes of a block. The nodes are
-the centres of the pieces: of a tile the centres of the pixels of tiles one, two, three zooms on. Pixels that are no tile's cut
-through nodes' squares, which count by the share that lies in the pixel.
+Heights that are averaged over a pixel lose the ridges that cast shadows. So where a map's pixels are larger than the raster's cells
+(or than the level's ``resolution``, if that is coarser), shadows are computed on finer nodes. Pixels are divided into 2 x 2, 4 x 4,
+8 x 8 ... sub-pixels until the sub-pixels are nearest to the data's resolution, within the maximum number of nodes in a block.
 
-All is counted from the level's raster, its anchor and the pixels' size: the same in every tile.
+The nodes are the centres of the sub-pixels: for a tile they are the centres of the pixels of tiles one, two or three zooms deeper.
+In maps that are no tiles, pixels cut through the squares round nodes. These squares count by the share that lies in the pixel.
+
+All positions are counted from the level's raster, its anchor and the pixels' size: every tile has the same ones.
 """
 
 from __future__ import annotations
@@ -23,38 +24,41 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 PixelsShow = Literal["means", "points"]
-"""What a map's pixels show: means of what they cover, or their own points, by which accuracy is measured."""
+"""The content of a map's pixels: means of the nodes that they cover, or their own points, by which accuracy is measured."""
 
 MOST_BARE_NODES = 16 * BLOCK_PX**2
-"""Most nodes in a block of tiles on bare ground under the sun alone, where heights say all: 4 x 4 in a pixel of a block that is
-full of ground, more where the level is smaller, ..."""
+"""Maximum nodes in a block of tiles on bare ground under the sun alone, where heights suffice: 4 x 4 in a pixel of a block that
+is full of ground, more where the level is smaller.
+"""
 
 MOST_POINTS = 4 * BLOCK_PX**2
-"""... and most where something stands on the ground, where there are lamps, and where as many pixels as a block's, but of the
-pieces' size, are ..."""
+"""Maximum nodes in a block where objects stand on the ground, where there are lamps, and where a block of sub-pixels is wider than
+``WIDE_M``.
+"""
 
 WIDE_M = 150e3
-"""... wider than this: the sun's rays bend across them, and shadow maps serve them."""
+"""Width of a block above which shadow maps serve it: the sun's rays bend across wider ones."""
 
 ON_SIDE = 1e-6
-"""How near to a node's square, in nodes, a pixel's side lies on its side."""
+"""Tolerance, in nodes, within which a pixel's side coincides with the side of a node's square."""
 
 
 def is_bare(scene: Scene) -> bool:
-    """Whether a level has nothing but smooth ground, and no light but the sun."""
+    """Return whether a level has only smooth ground, and no light but the sun."""
     smooth = scene.elevation.surface == "smooth"
     return smooth and set(scene.light_names) <= {SUN} and set(scene.objects.kinds) <= {"relief"}
 
 
 def ground_pixels(scene: Scene, view: MapView) -> float:
-    """How many pixels of a map's block show ground, at most."""
+    """Return an upper bound of the pixels of a map's block that show ground."""
     cell_m = scene.elevation.cell_size_m(scene.world.metres_per_unit)
     return min(BLOCK_PX**2, scene.elevation.rows * scene.elevation.cols * (cell_m / map_pixel_m(scene.world, view)) ** 2)
 
 
 def halvings(scene: Scene, view: MapView) -> int:
-    """How many times a map's pixels are halved until their sides are nearest to the data's; fewer where a block would have too
-    many nodes.
+    """Return how many times a map's pixels are halved until their sides are nearest to the data's resolution.
+
+    The result is smaller where a block would have too many nodes.
     """
     pixel_m, cell_m = map_pixel_m(scene.world, view), scene.elevation.cell_size_m(scene.world.metres_per_unit)
     block = ground_pixels(scene, view)
@@ -68,13 +72,13 @@ def halvings(scene: Scene, view: MapView) -> int:
 
 
 def pieces_grid(view: MapView, count: int) -> Grid:
-    """The grid whose nodes are the middles of a map's pixels' pieces, if pixels are halved so many times."""
-    own = np.log2(np.sqrt(view.row_step * view.col_step))  # pixels may be larger than their grid's
+    """Return the grid whose nodes are the centres of a map's sub-pixels after halving pixels ``count`` times."""
+    own = np.log2(np.sqrt(view.row_step * view.col_step))  # a view's pixels may be larger than its grid's step
     return view.grid.subdivided(max(int(np.rint(count - own)), 0))
 
 
 def covered_nodes(view: MapView, grid: Grid) -> MapView:
-    """The nodes of a finer grid that a map's pixels cover, as pixels of a view."""
+    """Return the nodes of a finer grid that a map's pixels cover, as pixels of a view."""
     ends = []
     for sides in _sides(view, grid):
         first, last = int(np.floor(sides[0] + ON_SIDE)), int(np.ceil(sides[-1] - ON_SIDE))
@@ -84,14 +88,15 @@ def covered_nodes(view: MapView, grid: Grid) -> MapView:
 
 
 def drawn_view(scene: Scene, view: MapView | PerspectiveView, pixels_show: PixelsShow = "means") -> MapView | PerspectiveView:
-    """The view whose pixels' visibility is filled for a view: of a coarse map the nodes that it covers, of any other itself."""
+    """Return the view whose visibility is computed for a view: for a coarse map the nodes that it covers, else the view itself."""
     count = halvings(scene, view) if isinstance(view, MapView) and pixels_show == "means" else 0
     return covered_nodes(view, pieces_grid(view, count)) if isinstance(view, MapView) and count else view
 
 
 def _sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Where the sides of a map's pixels lie across the rows (rows + 1,) and columns (cols + 1,) of squares, one round each node of
-    a finer grid: node n has the square from n to n + 1. The nodes of the map's own grid are among its nodes, or half-way between.
+    """Return where the sides of a map's pixels cross a finer grid: the rows (rows + 1,) and columns (cols + 1,) of node squares.
+
+    The square of node n extends from n to n + 1. Nodes of the map's own grid are nodes of the finer grid, or half-way between.
     """
     steps = float(np.rint(view.grid.step / grid.step))
     offsets = (view.grid.y0 - grid.y0) / (grid.step * grid.stretch), (grid.x0 - view.grid.x0) / grid.step
@@ -104,7 +109,7 @@ def _sides(view: MapView, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def means_in_pixels(view: MapView, nodes: MapView, values: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Means (rows, cols) float32 of values at the nodes that a map's pixels cover, where they are ``there``; NaN without any."""
+    """Return means (rows, cols) float32 of values at the valid nodes that each pixel covers; NaN without valid nodes."""
     row, col = _sides_in(view, nodes)
     if values.dtype == np.bool_ and (down := _even(row)) and (right := _even(col)):
         return _shares(values, there, *down, *right, view.rows, view.cols)
@@ -112,8 +117,9 @@ def means_in_pixels(view: MapView, nodes: MapView, values: np.ndarray, there: np
 
 
 def _even(sides: np.ndarray) -> tuple[int, np.ndarray] | None:
-    """Where pixels' sides all cut squares alike: the squares from pixel to pixel, and twice the share of each square that the first
-    pixel covers, from square 0 on. ``None`` where they do not.
+    """Return the squares from pixel to pixel, and twice the share of each square that the first pixel covers, from square 0 on.
+
+    ``None`` unless the sides of all pixels cut squares alike.
     """
     step = int(np.rint(sides[1] - sides[0]))
     if np.abs(np.diff(sides) - step).max() > ON_SIDE or abs(sides[0] * 2.0 - np.rint(sides[0] * 2.0)) > ON_SIDE:
@@ -123,7 +129,7 @@ def _even(sides: np.ndarray) -> tuple[int, np.ndarray] | None:
 
 
 def largest_in_pixels(view: MapView, nodes: MapView, values: np.ndarray) -> np.ndarray:
-    """The largest (rows, cols) of values at the nodes that a map's pixels cover."""
+    """Return the maximum (rows, cols) of values at the nodes that each pixel covers."""
     return _largest(values, *_sides_in(view, nodes))
 
 
@@ -134,13 +140,13 @@ def _sides_in(view: MapView, nodes: MapView) -> tuple[np.ndarray, np.ndarray]:
 
 @internal
 def _squares(sides, i):
-    """The first square and the one after the last that lie between two sides."""
+    """Return the first square between two sides, and the exclusive end."""
     return int(np.floor(sides[i] + ON_SIDE)), int(np.ceil(sides[i + 1] - ON_SIDE))
 
 
 @internal
 def _share(sides, i, n):
-    """The share of square ``n`` between two sides; 1 where it lies between them but for rounding."""
+    """Return the share of square ``n`` between two sides; exactly 1 where it lies between them up to rounding."""
     share = min(sides[i + 1], n + 1.0) - max(sides[i], np.float64(n))
     return 1.0 if share > 1.0 - ON_SIDE else share
 
@@ -168,7 +174,7 @@ def _means(values, there, row, col):
 
 @compiled
 def _shares(values, there, down, row_weights, right, col_weights, rows, cols):
-    """As ``_means`` of bool, where all pixels cover squares alike (``_even``): in whole numbers."""
+    """Return ``_means`` of bool values, where all pixels cover squares alike (``_even``), in integer arithmetic."""
     out = np.empty((rows, cols), np.float32)
     wide = there.shape[1]
     down_weight, right_weight = 0, 0
@@ -177,11 +183,11 @@ def _shares(values, there, down, row_weights, right, col_weights, rows, cols):
     for k in range(col_weights.size):
         right_weight += col_weights[k]
     most = down_weight * right_weight
-    quotients = np.empty(most + 1, np.float32)  # of all that may be lit in a pixel that shows nothing else than ground
+    quotients = np.empty(most + 1, np.float32)  # the means of pixels whose nodes are all valid
     for n in range(most + 1):
         quotients[n] = np.float64(n) / np.float64(most)
-    known, total = np.empty(wide, np.int32), np.empty(wide, np.int32)  # of a row of pixels
-    all_known, all_total = np.empty(wide, np.int32), np.empty(wide, np.int32)  # in the pixels that would begin at each square
+    known, total = np.empty(wide, np.int32), np.empty(wide, np.int32)  # sums down a row of pixels
+    all_known, all_total = np.empty(wide, np.int32), np.empty(wide, np.int32)  # sums of the pixel that begins at each square
     for i in range(rows):
         total[:] = 0
         whole = True
@@ -225,7 +231,10 @@ def _add_weighted(values, weight, out):
 
 @internal
 def _sum_along(values, weights, out):
-    """Weighted sums of as many values as there are weights, from each on; beyond the last that has so many nothing is said."""
+    """Write weighted sums of ``weights.size`` consecutive values, from each position on.
+
+    Positions too near to the end for a full sum are left as they are.
+    """
     count = values.size - weights.size + 1
     for k in range(weights.size):
         weight, some, sums = np.int32(weights[k]), values[k : k + count], out[:count]

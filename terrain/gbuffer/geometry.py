@@ -1,6 +1,6 @@
 """Geometry buffers: for each pixel the visible point, its normals and the triangle it lies on.
 
-The buffer of a map block is made by arithmetic, without rasterising (``skugga.terrain.gbuffer.map_points``).
+``map_geometry`` computes the buffer of a map block by arithmetic, without rasterising (``skugga.terrain.gbuffer.map_points``).
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from skugga.terrain.ground.columns import PlacedOnColumns
 from skugga.terrain.ground.surface import Surface, SurfaceWindow
 
 SMOOTH_NODES = 16
-"""Widest central difference of the shading normal, in nodes: beyond 16-fold magnification facets show."""
+"""Maximum half width of the shading normal's central difference, in nodes. Beyond 16-fold magnification facets show."""
 
 
 class Shown(NamedTuple):
-    """What pixels show, as loops that shade them take it: arrays of a ``GeometryBuffer``."""
+    """The arrays of a ``GeometryBuffer`` that shading loops read."""
 
     there: np.ndarray
     kind: np.ndarray
@@ -38,51 +38,56 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GeometryBuffer:
-    """What is visible, per pixel. Shapes (rows, cols) or (rows, cols, 3); NaN (or 0) where there is no surface.
+    """The visible surface in each pixel.
+
+    Arrays have the shape (rows, cols) or (rows, cols, 3). Pixels without a surface hold NaN (or 0).
 
     Attributes
     ----------
+    view, frame
+        The view, and the local frame of all points and directions.
     there
-        bool, whether the pixel shows a surface.
+        bool, valid mask: the pixel shows a surface.
     position_frame_m
-        float64, the visible point in the frame.
+        float64, the visible point in the frame, metres.
     height_m
-        float32, its height.
+        float32, the point's height, metres.
     normal_frame
-        float32, the triangle's geometric unit normal; the mean of all where several triangles of a map's ground share the point.
-        Shadows go by ``skugga.terrain.gbuffer.shared_points``, which knows those.
+        float32, the triangle's geometric unit normal. Where several triangles of a map's ground share the point, it is their mean.
+        Shadows use the single normals (``skugga.terrain.gbuffer.shared_points``).
     shading_normal_frame
-        float32, a smooth unit normal: shading goes by this one.
+        float32, a smooth unit normal, for shading.
     crease
         float32, the largest distance between the triangle's unit normal and those of the triangles round the nearest
-        node: 0 on a plane. An algorithm that looks beside the point needs it for its bias.
+        node; 0 on a plane. Algorithms that sample beside the point need it for their bias.
     kind
-        uint8, what is seen: ``skugga.terrain.gbuffer.resolve``'s NOTHING, RELIEF, MESHES or FOREST.
+        uint8, the kind of surface: NO_SURFACE, RELIEF, MESHES or FOREST of ``skugga.terrain.gbuffer.resolve``.
     triangle
-        int32 (rows, cols, 3) of a map's ground: row and column of the quad in ``surface``, and 0 for the triangle on its north
-        side, 1 for the other; the first of those that share the point.
+        int32 (rows, cols, 3), for a map's ground only: row and column of the quad in ``surface``, then 0 for the triangle on the
+        quad's north side or 1 for the other. The first triangle, where several share the point.
     surface
-        Of a map: the nodes that the buffer was made from; they cast what they show. ``None`` in perspective, and over columns.
+        Maps: the nodes that the buffer was made from. They cast shadows as they are shown. ``None`` in perspective and for columns.
     columns
-        Of a map whose ground is upright columns: those, and where its pixels lie on them; they cast what they show. Their tops are
-        what is seen, so normals are up and nothing is creased.
+        Maps of upright columns: the columns, and the column of each pixel. They cast shadows as they are shown. Pixels show
+        their tops: normals point up, and creases are 0.
     ground
-        In perspective: the ground's triangles, which cast what they show. ``None`` in a map.
+        Perspective: the ground's triangles. They cast shadows as they are shown. ``None`` in a map.
     corners_frame_m
-        float32 (rows, cols, 9), the triangle's three corners: for everything but a map's ground, where it is 0. ``None`` where
-        there is nothing else.
+        float32 (rows, cols, 9), the triangle's three corners; 0 for a map's ground. ``None`` where the view has nothing else.
     albedo
-        float32, linear; NaN where the ground's tint is to be taken. ``None``: everywhere.
+        float32, linear; NaN selects the ground's tint. ``None`` selects it everywhere.
     samples_from, sample_pixels
-        Rows from here on are further samples of pixels (``skugga.terrain.gbuffer.antialias``), which are averaged; rows and columns
-        (n, cols) of the pixels that they are in the finer view of the same camera.
+        The first row of extra anti-aliasing samples (``skugga.terrain.gbuffer.antialias``), which are averaged; and the rows and
+        columns (n, cols) of these samples in the finer view of the same camera.
     lift_m
-        float32 (rows, cols), how far the smooth ground lies from the triangle's point along the line of sight, in a map upwards
-        (``skugga.terrain.gbuffer.lift``); NaN on nodes of the raster, and beside creases. ``None`` where all points are such.
+        float32 (rows, cols), the distance from the triangle's point to the smooth ground, metres: along the line of sight, in a map
+        upwards (``skugga.terrain.gbuffer.lift``). NaN on nodes of the raster and beside creases. ``None`` if it is NaN everywhere.
     lifted
-        bool (rows, cols), where the point has been put there, for one light. ``None``: nowhere.
-    stand, solids_frame_m
-        The trees of the view, and the vertices (n, 3) float64 of its meshes in the frame; ``None`` without any.
+        bool (rows, cols), whether the point was moved to the smooth ground, for one light. ``None`` if none was.
+    tree_instances
+        The trees of the view; ``None`` without any.
+    solids_frame_m
+        float64 (n, 3), the vertices of the view's meshes in the frame; ``None`` without any.
     """
 
     view: MapView | PerspectiveView
@@ -109,20 +114,28 @@ class GeometryBuffer:
 
     @property
     def shown(self) -> Shown:
-        """What a loop that shades needs of it."""
+        """The arrays that shading loops read."""
         return Shown(self.there, self.kind, self.position_frame_m, self.height_m, self.shading_normal_frame)
 
 
 @dataclass(frozen=True, eq=False)
 class MapNodes:
-    """The nodes that points of a map's bare ground go by, and their smooth normals (rows, cols, 3)."""
+    """The nodes that a map's bare ground is interpolated from.
+
+    Attributes
+    ----------
+    window
+        The nodes.
+    smooth
+        float32 (rows, cols, 3), their smooth unit normals.
+    """
 
     window: SurfaceWindow
     smooth: np.ndarray
 
 
 def map_nodes(surface: Surface, views: Sequence[MapView], frame: LocalFrame) -> MapNodes:
-    """The nodes that the points of views of one grid go by, in a frame."""
+    """Return the nodes that the pixels of views of one grid are interpolated from, in a frame."""
     reach = normal_reach(surface)
     row0, col0, row1, col1 = _nodes_of(views, reach)
     window = surface.window(row0, col0, row1 - row0, col1 - col0, frame)
@@ -130,7 +143,7 @@ def map_nodes(surface: Surface, views: Sequence[MapView], frame: LocalFrame) -> 
 
 
 def _nodes_of(views: Sequence[MapView], reach: int) -> tuple[int, int, int, int]:
-    """First row and column of the nodes that points of some views go by, and those after the last ones."""
+    """Return first row, first column, end row and end column of the nodes that the pixels of views need. Ends are exclusive."""
     halo = reach + (reach + 1) // 2 + 1
     firsts = [(view.row0, view.col0) for view in views]
     lasts = [(view.row0 + (view.rows - 1) * view.row_step, view.col0 + (view.cols - 1) * view.col_step) for view in views]
@@ -142,9 +155,10 @@ def _nodes_of(views: Sequence[MapView], reach: int) -> tuple[int, int, int, int]
 def map_geometry(
     surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None, nodes: MapNodes | None = None
 ) -> GeometryBuffer:
-    """The geometry buffer of a map view's bare ground (a block) in a frame: of all pixels, or of those ``wanted`` (rows, cols).
-    ``nodes`` are those that its points go by, where they were made before (``map_nodes``): a node is the same in every window.
-    Raises ``ValueError`` where they do not reach so far.
+    """Return the geometry buffer of the bare ground of a map view (a block).
+
+    ``wanted`` (rows, cols) selects pixels; the others show nothing. ``nodes`` (``map_nodes``) saves computing the nodes again: each
+    is the same in every window. Raises ``ValueError`` where ``nodes`` do not cover the view.
     """
     wanted = np.ones((view.rows, view.cols), np.bool_) if wanted is None else wanted
     reach = normal_reach(surface)
@@ -153,7 +167,7 @@ def map_geometry(
     row0, col0, row1, col1 = _nodes_of([view], reach)
     ends = window.row0, window.col0, window.row0 + window.shape[0], window.col0 + window.shape[1]
     if row0 < ends[0] or col0 < ends[1] or row1 > ends[2] or col1 > ends[3]:
-        raise ValueError(f"nodes: {ends}; the view needs {(row0, col0, row1, col1)}")
+        raise ValueError(f"nodes: they span {ends}, but the view needs {(row0, col0, row1, col1)}. Use map_nodes of this view.")
     row = view.row0 + np.arange(view.rows) * view.row_step - window.row0
     col = view.col0 + np.arange(view.cols) * view.col_step - window.col0
     on_nodes = view.on_nodes and reach == 1
@@ -161,7 +175,7 @@ def map_geometry(
         window.position_frame_m, window.height_m, window.there, sheet.falls, sheet.normals_frame, smooth, row, col, wanted
     )
     kind = np.where(there, np.uint8(RELIEF), np.uint8(NO_SURFACE))
-    # Where the grid's nodes are about the raster's, or wider apart, a pixel on one has no triangle of its own.
+    # A pixel on a node has no triangle of its own, unless the grid is finer than the raster.
     lift = None
     if not on_nodes:
         lift = map_lifts(
@@ -172,15 +186,15 @@ def map_geometry(
 
 
 def normal_reach(surface: Surface) -> int:
-    """Nodes that the shading normal's differences reach each way: a raster's cell, as far as that is allowed."""
+    """Return the half width in nodes of the shading normal's differences: one cell of the raster, clamped."""
     return int(np.clip(np.rint(1.0 / surface.cells_per_step), 1, SMOOTH_NODES))
 
 
 @compiled
 def _smooth_normals(position, reach):
-    """Unit normals at the nodes from differences over ``reach`` nodes each way, one-sided at the data's borders.
+    """Return unit normals at the nodes from differences over ``reach`` nodes each way, one-sided at the data's borders.
 
-    With ``reach`` one raster cell, the slope of a bilinear surface varies without a jump: facets do not show.
+    With a ``reach`` of one raster cell the slope of a bilinear surface is continuous: facets do not show.
     """
     rows, cols, _ = position.shape
     out = np.empty((rows, cols, 3), np.float32)

@@ -1,8 +1,10 @@
-"""The ground of a perspective view: a conforming mesh of the level's nodes, decimated by what an eye can see of it.
+"""The ground of a perspective view: a conforming mesh of the level's nodes, decimated by their visible error.
 
-The nodes are the raster's own cells where they are square and its CRS can be drawn in, else those of the level's map grid.
-A ground of up to ``WHOLE_TRIANGLES`` is drawn whole; a larger one is decimated with the distance from the eye, never with
-the direction of view, so that turning the camera changes no triangle. What is drawn casts, in front of the eye and behind it.
+* The nodes are the raster's own cells if these are square and the view can use the raster's CRS. Else they are those of the
+  level's map grid.
+* A ground of up to ``WHOLE_TRIANGLES`` triangles is drawn in full. A larger one is decimated with the distance from the eye, never
+  with the direction of view, so that turning the camera changes no triangle.
+* The drawn triangles cast shadows, in front of the eye and behind it.
 """
 
 from __future__ import annotations
@@ -25,16 +27,16 @@ from skugga.terrain.meshes.facets import FacesRound, creases, face_normals, face
 from skugga.terrain.scene import Scene
 
 MAX_GROUND_TRIANGLES = 2_000_000
-"""Most triangles of a perspective view's ground."""
+"""Maximum number of triangles of a perspective view's ground."""
 
 WHOLE_TRIANGLES = 250_000
-"""A ground of no more triangles is not decimated."""
+"""Maximum number of triangles of a ground that is not decimated."""
 
 MAX_SIDE_NODES = 4096
-"""Most nodes along a side before decimation; a larger level is read at 2, 4, ... nodes' average."""
+"""Maximum number of nodes along a side before decimation. Larger levels are averaged over 2, 4, ... nodes."""
 
 TOLERANCE_PX = 0.25
-"""How far, in pixels, a decimated ground may differ in height from the nodes it leaves out, where the budget allows it."""
+"""Maximum height error of a decimated ground at the nodes that it leaves out, in pixels, if the triangle budget allows it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,19 +46,23 @@ class GroundMesh:
     Attributes
     ----------
     position_frame_m
-        float64 (n, 3).
+        float64 (n, 3), the nodes.
     height_m
-        float32 (n,).
+        float32 (n,), their heights, metres.
     normal_frame
         float32 (n, 3), smooth unit normals.
     triangles
-        int32 (m, 3), counter-clockwise from above.
-    face_normal_frame, faces_round
-        float32 (m, 3), the triangles' unit normals, and the triangles round each node (``skugga.terrain.meshes.facets``).
+        int32 (m, 3), node indices, counter-clockwise from above.
+    face_normal_frame
+        float32 (m, 3), the triangles' unit normals.
+    faces_round
+        The triangles round each node (``skugga.terrain.meshes.facets``).
     x, y
         float64 (n,), map coordinates in the grid's CRS.
-    grid, tolerance_px
-        The grid whose nodes these are, and the tolerance that the mesh keeps (0: every node is there).
+    grid
+        The grid of the nodes.
+    tolerance_px
+        The height tolerance that the mesh keeps, in pixels; 0 if it has all nodes.
     """
 
     position_frame_m: np.ndarray
@@ -73,8 +79,18 @@ class GroundMesh:
 
 @dataclass(frozen=True, eq=False)
 class GroundNodes:
-    """All nodes of a level's ground from row ``row0`` and column ``col0`` of a grid on: heights (rows, cols), NaN where there is
-    none, and, where they are too many to be drawn, their decimation errors.
+    """All nodes of a level's ground.
+
+    Attributes
+    ----------
+    grid
+        The grid of the nodes.
+    row0, col0
+        The first row and column on the grid.
+    height_m
+        float32 (rows, cols), NaN without ground, metres.
+    errors
+        Decimation errors of the nodes; ``None`` if the ground is drawn in full.
     """
 
     grid: Grid
@@ -85,16 +101,20 @@ class GroundNodes:
 
 
 def ground_mesh(scene: Scene, view: PerspectiveView, max_triangles: int = MAX_GROUND_TRIANGLES) -> GroundMesh:
-    """The ground as an eye sees it, in the eye's frame; the last ones are kept. A view's parts and shifts share one."""
+    """Return the mesh of the ground for an eye, in the eye's frame.
+
+    It is cached: parts of a view and views in other directions share one.
+    """
     world, elevation, crs = scene.world, scene.elevation, scene.map_crs
-    if _nodes(world, elevation, crs, max_triangles).errors is None:  # all of it is drawn: for every eye of a frame
+    if _nodes(world, elevation, crs, max_triangles).errors is None:  # one full mesh serves every eye of a frame
         return _whole_mesh(world, elevation, crs, view.frame(world), max_triangles)
     return _ground_mesh(world, elevation, crs, tuple(view.eye_earth_m), view.focal_px, max_triangles)
 
 
 def ground_creases(ground: GroundMesh, seen: np.ndarray) -> np.ndarray:
-    """How much the ground bends up (m,) round its triangles of which some numbers (rows, cols), counted from 1, are seen; 0 round
-    all others: most of the ground is out of sight.
+    """Return the creases (m,) of the ground's triangles that are seen, and 0 for all others: most of the ground is out of sight.
+
+    ``seen`` (rows, cols) holds triangle numbers from 1.
     """
     wanted = np.zeros(len(ground.triangles), np.bool_)
     in_shares(len(seen), _mark, seen, wanted)
@@ -111,7 +131,7 @@ def _mark(first, last, number, out):
 
 
 def ground_nodes(scene: Scene) -> GroundNodes:
-    """The nodes that a level's perspective views are made from."""
+    """Return the nodes that a level's perspective views are made from."""
     return _nodes(scene.world, scene.elevation, scene.map_crs, MAX_GROUND_TRIANGLES)
 
 
@@ -150,7 +170,7 @@ def _mesh(
     triangles: np.ndarray,
     tolerance: float,
 ) -> GroundMesh:
-    """The mesh of triangles of some of the ground's nodes, in a frame."""
+    """Return the mesh of triangles of selected nodes of the ground, in a frame."""
     grid, height = nodes.grid, nodes.height_m[row, col]
     position = Surface(world, elevation, grid).positions(row + nodes.row0, col + nodes.col0, height, frame)
     faces, around = face_normals(position, triangles), faces_round(len(position), triangles)
@@ -171,7 +191,7 @@ def _nodes(world: World, elevation: Elevation, crs: CRS, max_triangles: int) -> 
 
 
 def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, int, int, int]:
-    """The grid, and first row, first column, rows and columns of its nodes that lie on the raster."""
+    """Return the grid, then first row, first column, rows and columns of its nodes on the raster."""
     cell = elevation.square_cell
     if elevation.crs == crs and cell is not None and elevation.resolution_m is None:
         left, top = (float(v) for v in elevation.xy(0, 0))
@@ -192,7 +212,7 @@ def _window(world: World, elevation: Elevation, crs: CRS) -> tuple[Grid, int, in
 
 
 def _whole(height: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All nodes and triangles of a grid (rows, cols): row, col, and the triangles with three known corners."""
+    """Return row and column of all nodes of a grid (rows, cols), and its triangles without missing corners."""
     rows, cols = height.shape
     row, col = (v.ravel() for v in np.mgrid[:rows, :cols])
     if min(rows, cols) < 2:

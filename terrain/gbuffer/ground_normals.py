@@ -1,4 +1,4 @@
-"""Smooth normals of a map's bare ground, for products that depend on how it slopes."""
+"""Smooth normals of a map's bare ground, for products that depend on its slope."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from skugga.terrain.scene import Scene
 
 
 def ground_normals(scene: Scene, view: MapView) -> tuple[np.ndarray, LocalFrame]:
-    """Return the unit normals of the ground in a map's pixels, and the frame that they are in.
+    """Return the unit normals of the ground in a map's pixels, and their frame.
 
     Returns
     -------
     normal_frame
-        float32 (rows, cols, 3), NaN where there is no ground. Objects and water on the ground do not count.
+        float32 (rows, cols, 3), NaN without ground. Objects and water on the ground do not count.
     frame
         The local frame near the view's centre.
     """
@@ -34,8 +34,8 @@ def ground_normals(scene: Scene, view: MapView) -> tuple[np.ndarray, LocalFrame]
 def ground_normals_enu(scene: Scene, view: MapView) -> np.ndarray:
     """Return the unit normals of the ground in a map's pixels towards east, true north and up at each pixel.
 
-    float32 (rows, cols, 3), NaN where there is no ground. They are right in any CRS, whatever the shape of its pixels. Up is
-    normal to the ellipsoid.
+    float32 (rows, cols, 3), NaN without ground. They are right in any CRS and for any shape of pixels. Up is normal to the
+    ellipsoid.
     """
     normal_frame, frame = ground_normals(scene, view)
     if scene.world.flat:
@@ -47,7 +47,7 @@ def ground_normals_enu(scene: Scene, view: MapView) -> np.ndarray:
     lon, lat = np.radians(lon_deg), np.radians(lat_deg)
     earth = frame.directions_to_earth(normal_frame.astype(np.float64))
     east = earth[..., 1] * np.cos(lon) - earth[..., 0] * np.sin(lon)
-    outwards = earth[..., 0] * np.cos(lon) + earth[..., 1] * np.sin(lon)  # from the earth's axis
+    outwards = earth[..., 0] * np.cos(lon) + earth[..., 1] * np.sin(lon)  # away from the earth's axis
     north = earth[..., 2] * np.cos(lat) - outwards * np.sin(lat)
     up = earth[..., 2] * np.sin(lat) + outwards * np.cos(lat)
     return np.stack([east, north, up], axis=-1).astype(np.float32)

@@ -1,7 +1,7 @@
-"""What is seen in each pixel: the number of the nearest triangle, by rasterising; the point on it is found by ``resolve``.
+"""Rasterise the number of the nearest triangle in each pixel. ``skugga.terrain.gbuffer.resolve`` computes the point on it.
 
-Triangles are numbered from 1: the ground's (in perspective; a map's ground is not rasterised), then the meshes', then six
-a tree. Alpha-tested texels are looked up with coverage-preserving mipmaps.
+Triangles are numbered from 1: first those of the ground (in perspective; a map's ground is not rasterised), then those of the
+meshes, then six of each tree. The alpha test of leaves reads coverage-preserving mipmaps.
 """
 
 from __future__ import annotations
@@ -27,14 +27,22 @@ if TYPE_CHECKING:
     import moderngl
 
 NEAR_M = 0.005
-"""What is nearer to the eye than this is not seen."""
+"""Distance of the near plane. Nearer surfaces are clipped."""
 
 
 @dataclass(frozen=True, eq=False)
 class IdBuffer:
-    """``number`` uint32 (rows, cols), 0 where nothing is; ``albedo_root`` uint8 (rows, cols, 4), the roots of linear albedo
-    where a tree is seen (empty without trees); ``depth`` float32 (rows, cols), in perspective ``NEAR_M`` over the distance
-    along the view's axis (empty where some pixels alone were wanted).
+    """The rasterised triangles.
+
+    Attributes
+    ----------
+    number
+        uint32 (rows, cols), the triangle's number, from 1; 0 in empty pixels.
+    albedo_root
+        uint8 (rows, cols, 4), the square root of linear albedo where a tree is seen. Empty without trees.
+    depth
+        float32 (rows, cols), in perspective ``NEAR_M`` over the distance along the view's axis. Empty if only some pixels were
+        drawn.
     """
 
     number: np.ndarray
@@ -44,8 +52,9 @@ class IdBuffer:
 
 @cached("process", 8 * MIB)
 def shader(*parts: str) -> str:
-    """The text of shader parts, one after another: ``terrain/gbuffer/tree`` is ``tree.glsl`` in the shaders of
-    ``skugga.terrain.gbuffer``.
+    """Return the concatenated text of shader parts.
+
+    The part ``terrain/gbuffer/tree`` is the file ``shaders/tree.glsl`` of ``skugga.terrain.gbuffer``.
     """
     texts = {}
     for part in parts:
@@ -62,8 +71,9 @@ def rasterise_perspective(
     instances: TreeInstances | None,
     wanted: np.ndarray | None = None,
 ) -> IdBuffer:
-    """What a camera sees of the ground, meshes (vertices in the frame, triangles) and trees: in all pixels, or in those ``wanted``
-    (rows, cols), the others of which show nothing.
+    """Rasterise the ground, meshes (vertices in the frame, triangles) and trees for a camera.
+
+    ``wanted`` (rows, cols) selects pixels; the others stay empty.
     """
     gl = device()
     eye, camera_from_frame = view.in_frame(frame)
@@ -79,7 +89,7 @@ def rasterise_perspective(
     ends = np.array([[first[k] - view.step, first[k] + size[k] * view.step] for k in (0, 1)]) / view.focal_px
     ahead = _in_view(ground.position_frame_m, ground.triangles, eye, camera_from_frame, ends)
     with gl.visible_pass(target):
-        if wanted is not None:  # what is nearer than all hides the rest before it costs anything
+        if wanted is not None:  # depth 1 is the near plane: the depth test rejects all other pixels early
             gl.write_depths(target, np.subtract(np.float32(1.0), wanted, dtype=np.float32))
         program = _program(gl, "visible.vert", "visible.frag", uniforms)
         gl.draw_triangles(program, ground.position_frame_m, ground.triangles[ahead], 0)
@@ -102,9 +112,9 @@ def rasterise_map(
     px_from_m: np.ndarray,
     heights_m: tuple[float, float],
 ) -> IdBuffer:
-    """What stands on a map's ground: meshes (vertices (n, 3) in columns, rows and metres of height; triangles) and trees.
+    """Rasterise the objects on a map's ground: meshes (vertices (n, 3) in columns, rows and metres of height; triangles) and trees.
 
-    Columns and rows count from the corner of the first pixel. ``heights_m`` bounds all heights.
+    Columns and rows count from the corner of the first pixel. ``heights_m`` holds a lower and an upper bound of all heights.
     """
     gl = device()
     low, high = heights_m
@@ -149,7 +159,7 @@ def _program(gl: Device, vertex: str, fragment: str, uniforms: dict[str, Any]) -
 
 
 def set_uniforms(program: moderngl.Program, values: dict[str, Any]) -> None:
-    """Set those of some uniforms that a program uses."""
+    """Set the uniforms that a program uses, and ignore the others."""
     for name, value in values.items():
         if name in program:
             program[name] = value
@@ -175,8 +185,9 @@ def _read(
 
 @compiled
 def _renumber(first, last, number, ahead, drawn, chosen):
-    """Number triangles among all of the ground and of the trees: they are numbered among those that are ``ahead``, and the
-    ``chosen`` trees.
+    """Replace numbers among the drawn triangles by numbers among all triangles.
+
+    ``ahead`` holds the indices of the drawn triangles of the ground, ``chosen`` those of the drawn trees.
     """
     for i in range(first, last):
         for j in range(number.shape[1]):
@@ -190,8 +201,10 @@ def _renumber(first, last, number, ahead, drawn, chosen):
 
 @compiled
 def _in_view(position, triangles, eye, rotation, tangents):
-    """Indices of triangles that are not all on the far side of one of a pyramid's planes: from an eye along the third axis of
-    ``rotation``, between least and greatest x / z and y / z.
+    """Return the indices of the triangles that may intersect a viewing pyramid.
+
+    A triangle is left out if all of its corners lie outside one plane of the pyramid. The apex is ``eye``, the axis the third row
+    of ``rotation``; ``tangents`` are the minimum and maximum of x / z and of y / z.
     """
     outside = np.zeros(len(position), np.uint8)
     at = np.empty(3)

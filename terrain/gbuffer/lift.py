@@ -1,12 +1,14 @@
-"""From the triangles of the ground to the smooth surface that they stand for.
+"""Lift points of ground triangles to the smooth surface that the triangles approximate.
 
-Triangles are chords: ground that bulges lies a little above them. Where light grazes it, a point of a triangle that is turned away
-lies in the shadow of the triangle before it, though the ground there is lit. So such points are lifted to the planes through their
-triangle's corners, each across the smooth normal there, weighted as heights are (J. Hanika, Hacking the Shadow Terminator, Ray
-Tracing Gems II, 2021). He moves them along the normals. Here they go along the line of sight, in a map upwards: a point stays in
-its pixel, and every algorithm can take it. What lies in a hollow stays where it is.
+Triangles are chords: convex ground lies a little above them. Under grazing light a triangle that is turned away lies in the shadow
+of the triangle before it, though the smooth ground there is lit (the shadow terminator problem). So such points are lifted to the
+planes through their triangle's corners, each perpendicular to the smooth normal of its corner, with barycentric weights
+(J. Hanika, Hacking the Shadow Terminator, Ray Tracing Gems II, 2021).
 
-Ground that bends by a right angle, as at cliffs and roofs, is not smooth: triangles beside such a crease stand for themselves.
+Hanika moves points along the normals. Here they move along the line of sight, in a map upwards: a point stays in its pixel, and
+every algorithm can use it. Points in concave ground stay where they are.
+
+Ground that bends by a right angle, as at cliffs and roofs, is not smooth: triangles beside such a crease are not lifted.
 """
 
 from __future__ import annotations
@@ -16,24 +18,25 @@ import numpy as np
 from skugga.terrain.compiled import internal
 
 LEAST_FACING = 0.25
-"""Least cosine, between a smooth normal and the line of sight, that a lift is divided by: surfaces are seen edge-on, too."""
+"""Minimum divisor of a lift: the cosine between a smooth normal and the line of sight vanishes on surfaces that are seen edge-on.
+"""
 
 CREASE = float(np.cos(np.radians(30.0)))
-"""Cosine between a triangle's normal and a smooth one round it below which a crease lies between: there the ground bends twice as
-much.
+"""Minimum cosine between a triangle's normal and the smooth normals at its corners. Below it a crease lies between: the ground
+bends by twice the angle there.
 """
 
 
 @internal
 def is_smooth(face, smooth):
-    """Whether a smooth normal is near enough to a triangle's that no crease lies between them; not where there is none."""
+    """Return whether a smooth normal exists and is so near to a triangle's normal that no crease lies between them."""
     length = np.sqrt(smooth[0] * smooth[0] + smooth[1] * smooth[1] + smooth[2] * smooth[2])
     return face[0] * smooth[0] + face[1] * smooth[1] + face[2] * smooth[2] >= CREASE * length
 
 
 @internal
 def up_at(point, centre, out):
-    """The unit vector up at a point, away from a centre: along the third axis where that is infinitely far below."""
+    """Write the unit vector up at a point, away from a centre. It is the third axis where the centre is infinitely far below."""
     x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     length = np.sqrt(x * x + y * y + z * z)
     out[0], out[1], out[2] = (0.0, 0.0, 1.0) if np.isinf(length) else (x / length, y / length, z / length)
@@ -41,8 +44,9 @@ def up_at(point, centre, out):
 
 @internal
 def lift_to(node, smooth, point, way):
-    """How far a point has to go along a unit vector to the plane through a node across its smooth normal; 0 if it lies above, or
-    where there is no normal.
+    """Return the distance from a point, along a unit vector, to the plane through a node perpendicular to its smooth normal.
+
+    It is 0 where the point lies above the plane, or where the normal is missing.
     """
     below = smooth[0] * (node[0] - point[0]) + smooth[1] * (node[1] - point[1]) + smooth[2] * (node[2] - point[2])
     facing = smooth[0] * way[0] + smooth[1] * way[1] + smooth[2] * way[2]

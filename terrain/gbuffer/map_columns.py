@@ -1,5 +1,6 @@
-"""The geometry buffer of a map of upright columns (``skugga.terrain.ground.columns``): a pixel shows the middle of its column's
-top.
+"""Geometry buffers of maps of upright columns (``skugga.terrain.ground.columns``).
+
+A pixel shows the middle of its column's top.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from skugga.terrain.ground.surface import Surface
 
 
 def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: np.ndarray | None = None) -> GeometryBuffer:
-    """The geometry buffer of a map view's bare ground (a block) in a frame: of all pixels, or of those ``wanted`` (rows, cols).
+    """Return the geometry buffer of the columns in a map view (a block).
 
-    Raises ``UnsupportedError``.
+    ``wanted`` (rows, cols) selects pixels; the others show nothing. Raises ``UnsupportedError``.
     """
     row, col = view.row0 + np.arange(view.rows) * view.row_step, view.col0 + np.arange(view.cols) * view.col_step
     columns, seen = columns_under(surface, row, col, frame)
@@ -31,9 +32,7 @@ def column_geometry(surface: Surface, view: MapView, frame: LocalFrame, wanted: 
 
 
 def corners_under(buffer: GeometryBuffer) -> np.ndarray:
-    """Corners (rows, cols, 9) float32 as a ``GeometryBuffer`` has them, those of one of the two triangles of columns' tops among
-    them.
-    """
+    """Return ``corners_frame_m`` of a ``GeometryBuffer``, completed with one of the two triangles of each visible column's top."""
     columns, corners = buffer.columns, buffer.corners_frame_m
     assert columns is not None
     corners = np.zeros((*buffer.there.shape, 9), np.float32) if corners is None else corners.copy()

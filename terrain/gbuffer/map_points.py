@@ -1,4 +1,7 @@
-"""The points that a map's pixels show, by arithmetic: pixel centre -> quad and triangle of the sheet -> float64 point."""
+"""Compute the points that a map's pixels show, by arithmetic.
+
+A pixel's centre selects the quad and the triangle of the sheet, and these the float64 point.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,15 @@ from skugga.terrain.compiled import compiled, internal
 from skugga.terrain.gbuffer.lift import is_smooth, lift_to, up_at
 
 ON_EDGE = 1e-6
-"""How near to a facet's edge, in cells, a point lies on it: what rounding puts to one side or the other is shared by both."""
+"""Tolerance, in cells, within which a point lies on a facet's edge. Facets on both sides share it, whatever the rounding."""
 
 
 @compiled
 def map_points(position, height, shown, falls, faces, smooth, row, col, wanted):
-    """The points of pixel centres at (fractional) rows and columns of a sheet of nodes, and what a geometry buffer has of them.
+    """Return the points at fractional rows and columns of a sheet of nodes, with the other arrays of a geometry buffer.
 
-    A pixel that is wanted shows a surface where the nearest node does (one of them, half-way between), and where it lies on a
-    triangle.
+    A wanted pixel shows a surface if the nearest node does and the pixel lies on a triangle. Half-way between nodes, one of the
+    nearest nodes suffices.
     """
     rows, cols = row.size, col.size
     there = np.empty((rows, cols), np.bool_)
@@ -52,11 +55,11 @@ def map_points(position, height, shown, falls, faces, smooth, row, col, wanted):
 
 @compiled
 def map_lifts(position, falls, faces, smooth, centre, row, col, point, triangle, reach):
-    """How far the smooth ground lies above ``map_points``, float32 (rows, cols).
+    """Return the height of the smooth ground above ``map_points``, float32 (rows, cols), metres.
 
-    It goes through the corners of a point's facet. Where the sheet is finer than the raster, with ``reach`` nodes to a cell, its
-    facets say little: then through what lies half a cell off along both axes, twice as high, for half a chord bulges a quarter as
-    much. NaN on a node that is as good as the raster's own, and beside a crease.
+    The smooth ground passes through the corners of a point's facet. Single facets say little about it where the sheet is finer than
+    the raster, with ``reach`` nodes per cell. Then it passes through the points half a cell away along both axes, and the lift is
+    doubled: half a chord bulges a quarter as much. NaN on a node as exact as the raster's own nodes, and beside a crease.
     """
     rows, cols = row.size, col.size
     out = np.empty((rows, cols), np.float32)
@@ -95,7 +98,7 @@ def map_lifts(position, falls, faces, smooth, centre, row, col, point, triangle,
 
 @internal
 def _between(values, row, col, out):
-    """What vectors at nodes are at a place between them, bilinear."""
+    """Interpolate vectors at nodes bilinearly at a fractional row and column."""
     r, c = int(np.floor(row)), int(np.floor(col))
     fr, fc = row - r, col - c
     for k in range(3):
@@ -109,8 +112,10 @@ def _between(values, row, col, out):
 
 @internal
 def facets_at(faces, falls, row, col, found):
-    """The facets with three corners that a place of a sheet lies on: how many, and in ``found`` (8, 3) row and column of their
-    quads and 0 or 1, as ``faces`` (rows, cols, 2, 3) has their normals. First those of the quad south-east of the place.
+    """Return the number of facets that a position on a sheet lies on, and write them to ``found`` (8, 3).
+
+    A facet is the row and the column of its quad, and 0 or 1: ``faces`` (rows, cols, 2, 3) holds its normal, NaN if a corner is
+    missing. Facets of the quad south-east of the position come first.
     """
     r0, c0 = int(np.floor(row + ON_EDGE)), int(np.floor(col + ON_EDGE))
     fr0, fc0 = row - r0, col - c0
@@ -130,8 +135,9 @@ def facets_at(faces, falls, row, col, found):
 
 @internal
 def crease_at(faces, falls, row, col, normal):
-    """The largest distance between a unit normal (3,) and those of the facets round the node nearest to a place of a sheet (round
-    all of them, half-way between).
+    """Return the largest distance between a unit normal (3,) and those of the facets round the nearest node.
+
+    Half-way between nodes, the facets round each of the nearest nodes count.
     """
     first_r, last_r, first_c, last_c = _nearest(row, col)
     widest = _crease_round(faces, falls, first_r, first_c, normal)
@@ -146,12 +152,12 @@ def crease_at(faces, falls, row, col, normal):
 
 @internal
 def _crease_round(faces, falls, near_r, near_c, normal):
-    """The largest distance between a unit normal (3,) and those of the facets round a node of a sheet."""
+    """Return the largest distance between a unit normal (3,) and those of the facets round a node of a sheet."""
     widest = 0.0
     for k in range(8):
         down, right, half = k // 4, k // 2 % 2, k % 2
         r, c = near_r - 1 + down, near_c - 1 + right
-        # The corner that the node is of the quad; where the cut ends in another one, a single facet reaches it.
+        # Only one facet of the quad has the node as a corner, unless the diagonal ends there.
         ends_here = (down == right) == falls[r, c]
         if not ends_here and half != 1 - down:
             continue
@@ -165,7 +171,7 @@ def _crease_round(faces, falls, near_r, near_c, normal):
 
 @internal
 def _nearest(row, col):
-    """First and last row and column of the nodes nearest to a place: one of each, but for a place half-way between."""
+    """Return first and last row and column of the nearest nodes: two of each, where a position is half-way between nodes."""
     return (
         int(np.ceil(row - 0.5 - ON_EDGE)), int(np.floor(row + 0.5 + ON_EDGE)),
         int(np.ceil(col - 0.5 - ON_EDGE)), int(np.floor(col + 0.5 + ON_EDGE)),
@@ -180,7 +186,10 @@ def _nearest_shown(shown, row, col):
 
 @internal
 def facet_corners(falls, half):
-    """Rows and columns, from a quad's north-west corner, of a facet's corner off the diagonal, and of those before and after it."""
+    """Return row and column offsets, from a quad's north-west corner, of a facet's three corners.
+
+    The corner off the diagonal comes first, then the next ones counter-clockwise.
+    """
     if falls:
         return ((0, 1), (0, 0), (1, 1)) if half == 0 else ((1, 0), (1, 1), (0, 0))
     return ((0, 0), (1, 0), (0, 1)) if half == 0 else ((1, 1), (0, 1), (1, 0))
@@ -188,7 +197,7 @@ def facet_corners(falls, half):
 
 @internal
 def _shares(falls, half, fr, fc):
-    """How far a place in a quad lies from the first of ``facet_corners`` towards the other two."""
+    """Return barycentric coordinates of a position in a quad: the weights of the second and third of ``facet_corners``."""
     if falls:
         return (1.0 - fc, fr) if half == 0 else (fc, 1.0 - fr)
     return (fr, fc) if half == 0 else (1.0 - fr, 1.0 - fc)
@@ -201,7 +210,10 @@ def _one_quad(found, n, m):
 
 @internal
 def _mean_normal(faces, found, count, out):
-    """The mean direction of some facets' normals, unit length; both facets of a quad count as one, however a plane quad is cut."""
+    """Write the mean unit normal of some facets.
+
+    Both facets of a quad together count once, so that the cut of a plane quad does not matter.
+    """
     if count == 1:
         for k in range(3):
             out[k] = faces[found[0, 0], found[0, 1], found[0, 2], k]
@@ -218,7 +230,7 @@ def _mean_normal(faces, found, count, out):
 
 @internal
 def _smooth_at(smooth, row, col, normal, out):
-    """The smooth normal between the nodes' ones that exist, bilinear; the facets' own without any."""
+    """Write the bilinear smooth normal of the nodes that have one; the facets' own normal if none has."""
     r0, c0 = int(np.floor(row)), int(np.floor(col))
     fr, fc = row - r0, col - c0
     x, y, z = 0.0, 0.0, 0.0

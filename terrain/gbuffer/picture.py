@@ -1,4 +1,4 @@
-"""The geometry buffer of a view: its ground, and the meshes and trees that stand on it."""
+"""Compute the geometry buffer of a view: its ground, and the meshes and trees that stand on it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
 CELL_STEP_PX = 16
-"""Distance of the pixels whose place in a map's imagery is computed exactly."""
+"""Spacing of the pixels whose position in a map's imagery is computed exactly."""
 
 _NO_POINTS = np.zeros((0, 3))
 _NO_FACES = Faces(
@@ -51,7 +51,7 @@ _NO_SHAPE, _NO_TURN = np.zeros((0, 4), np.float32), np.zeros((0, 2), np.float32)
 
 
 def frame_of(scene: Scene, view: MapView | PerspectiveView) -> LocalFrame:
-    """The frame that a view is drawn in."""
+    """Return the local frame that a view is drawn in."""
     if isinstance(view, PerspectiveView):
         return view.frame(scene.world)
     return scene.world.frame_near(view.grid.crs, *view.centre)
@@ -65,10 +65,10 @@ def geometry_of(
     wanted: np.ndarray | None = None,
     nodes: MapNodes | None = None,
 ) -> GeometryBuffer:
-    """The geometry buffer of a view (of a block, if it is a map). Of a map, only the pixels ``wanted`` (rows, cols) show anything;
-    ``nodes`` are those that it shares with other views (``shared_nodes``).
+    """Return the geometry buffer of a view (of a block, if it is a map).
 
-    Raises ``GraphicsError``.
+    ``wanted`` (rows, cols) selects pixels of a map; the others show nothing. ``nodes`` are those that a map shares with other views
+    (``shared_nodes``). Raises ``GraphicsError``.
     """
     frame = frame or frame_of(scene, view)
     if isinstance(view, PerspectiveView):
@@ -77,7 +77,7 @@ def geometry_of(
 
 
 def shared_nodes(scene: Scene, views: Sequence[MapView | PerspectiveView], frame: LocalFrame) -> MapNodes | None:
-    """The nodes of a map's smooth ground that several views of one grid go by; ``None`` where they share none."""
+    """Return the nodes of smooth ground that several map views of one grid share; ``None`` where they share none."""
     maps = [view for view in views if isinstance(view, MapView)]
     if not maps or scene.elevation.surface == "blocks":
         return None
@@ -85,7 +85,7 @@ def shared_nodes(scene: Scene, views: Sequence[MapView | PerspectiveView], frame
 
 
 class Unresolved(Protocol):
-    """What a camera sees, before it is resolved to points."""
+    """The rasterised triangles of a camera, before ``buffer_of`` computes points from them."""
 
     @property
     def frame(self) -> LocalFrame: ...
@@ -104,7 +104,7 @@ class Unresolved(Protocol):
 
 
 class RasterisedView:
-    """What a camera sees of some kinds of things, in all pixels or in those ``wanted`` (rows, cols)."""
+    """The triangles that a camera sees, in all pixels or in those that ``wanted`` (rows, cols) selects."""
 
     def __init__(
         self,
@@ -127,11 +127,14 @@ class RasterisedView:
 
 
 PixelSelection = tuple[PerspectiveView, RasterisedView, tuple[np.ndarray, np.ndarray]]
-"""A view, what is seen in it, and some of its pixels: rows and columns (n, cols)."""
+"""A view, its rasterised triangles, and rows and columns (n, cols) of some of its pixels."""
 
 
 def buffer_of(scene: Scene, view: PerspectiveView, visible: Unresolved, below: PixelSelection | None = None) -> GeometryBuffer:
-    """The buffer of what a camera sees; ``below`` are pixels of a finer view of the camera that are put below its own."""
+    """Return the geometry buffer of a camera's rasterised triangles.
+
+    ``below`` adds rows of pixels of a finer view of the same camera below the view's own rows.
+    """
     number, root = visible.seen.number, visible.seen.albedo_root
     finer, (row, col) = view, (np.zeros((0, view.cols), np.int64), np.zeros((0, view.cols), np.int64))
     if below is not None:
@@ -217,14 +220,14 @@ def _map_buffer(
 
 
 def solids_in(objects: SceneObjects, frame: LocalFrame) -> np.ndarray | None:
-    """Vertices (n, 3) float64 of a population's meshes in a frame; ``None`` without any."""
+    """Return the vertices (n, 3) float64 of the meshes in a frame; ``None`` without meshes."""
     solids = objects.solids
     return None if solids is None else frame.points_from_earth(solids.vertices_earth_m)
 
 
 @cached("scene", 512 * MIB)
 def _solid_faces(objects: SceneObjects, frame: LocalFrame) -> Faces:
-    """What a population's meshes show in a frame."""
+    """Return the triangles of the meshes with their albedo, normals and creases in a frame."""
     solids = objects.solids
     assert solids is not None
     normals = frame.directions_from_earth(solids.corner_normals_earth).astype(np.float32)
@@ -232,9 +235,9 @@ def _solid_faces(objects: SceneObjects, frame: LocalFrame) -> Faces:
 
 
 def _pixels(view: MapView, at: np.ndarray) -> np.ndarray:
-    """Columns and rows from the corner of a view's first pixel, and heights (n, 3), of map positions and heights (n, 3).
+    """Return columns and rows from the corner of a view's first pixel, and heights (n, 3), of map positions and heights (n, 3).
 
-    Longitudes are taken the way round that is nearer to the view's middle: beyond the antimeridian they go on.
+    Longitudes are unwrapped to the turn nearest to the view's middle: columns continue beyond the antimeridian.
     """
     grid, x = view.grid, at[:, 0]
     if grid.crs.is_geographic:
@@ -245,7 +248,7 @@ def _pixels(view: MapView, at: np.ndarray) -> np.ndarray:
 
 
 def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
-    """Pixels (column, row) per metre along a frame's first two axes, (2, 2), at a view's middle."""
+    """Return the matrix (2, 2) of pixels (column, row) per metre along a frame's first two axes, at a view's middle."""
     point, _ = scene.world.ground(view.grid.crs, *view.centre)
     middle = frame.points_from_earth(point)
     steps = middle + np.array([[10.0, 0, 0], [-10.0, 0, 0], [0, 10.0, 0], [0, -10.0, 0]])
@@ -256,19 +259,19 @@ def _px_from_m(scene: Scene, view: MapView, frame: LocalFrame) -> np.ndarray:
 
 @cached("scene", 512 * MIB)
 def _imagery(elevation: Elevation, source: str, stamp: tuple[int, int]) -> Imagery:
-    """Imagery of a ground by its file's path and time and size: a file that is rewritten is read again."""
+    """Return imagery, cached by path, modification time and size: a rewritten file is read again."""
     return Imagery(source)
 
 
 def imagery_of(scene: Scene) -> Imagery | None:
-    """The level's ground imagery, if it has any. Raises ``SourceError``."""
+    """Return the level's ground imagery, or ``None``. Raises ``SourceError``."""
     source = scene.loaded.level.terrain.imagery
     if source is None:
         return None
     path = scene.loaded.resolve(source)
     try:
         status = os.stat(path)
-    except OSError:  # no file of this machine, or one that will be missed with a sentence
+    except OSError:  # not a local file, or a missing one: reading it raises the error
         return _imagery(scene.elevation, path, (0, 0))
     return _imagery(scene.elevation, path, (status.st_mtime_ns, status.st_size))
 
@@ -279,7 +282,10 @@ def _ground_cells(image: Imagery, ground: GroundMesh) -> np.ndarray:
 
 
 def _draped(scene: Scene, image: Imagery, view: MapView) -> np.ndarray:
-    """Albedo (rows, cols, 3) of a map's ground: exact cells on every 16th pixel, bilinear between."""
+    """Return the imagery's albedo (rows, cols, 3) on a map's ground.
+
+    Positions in the imagery are exact on every 16th pixel and bilinear between.
+    """
     from scipy.ndimage import map_coordinates
 
     count = [-(-(size - 1) // CELL_STEP_PX) + 1 for size in (view.rows, view.cols)]

@@ -1,7 +1,9 @@
-"""From the number of the triangle that a pixel shows to the float64 point on it, its normals and what it is made of.
+"""Compute the float64 point, the normals and the albedo of each pixel from the number of its triangle.
 
-Perspective: the pixel's ray meets the triangle's plane (T. Moeller and B. Trumbore 1997); a map: the pixel's centre in the
-triangle's plan. Barycentric coordinates are held inside the triangle, since rasterisers snap corners to 1/256 of a pixel.
+* Perspective: intersect the pixel's ray with the triangle's plane (T. Moeller and B. Trumbore 1997).
+* Map: take the pixel's centre in the triangle's plan.
+
+Barycentric coordinates are clamped to the triangle, since rasterisers snap corners to 1/256 of a pixel.
 """
 
 from __future__ import annotations
@@ -15,18 +17,19 @@ from skugga.terrain.gbuffer.lift import is_smooth, lift_to
 from skugga.terrain.gbuffer.tree_instances import tree_corner
 
 CROWN_MIDDLE, CROWN_HALF = 0.55, 0.47
-"""Height of a crown's middle, and half the crown's height, as shares of a tree's."""
+"""Height of a crown's middle, and half the crown's height, as shares of the tree's height."""
 
 CROWN_LEAN = 0.25
-"""How much a crown's normals lean upwards."""
+"""Added to the upward component of a crown's unit normals."""
 
 NO_SURFACE, RELIEF, MESHES, FOREST = 0, 1, 2, 3
-"""What a pixel shows."""
+"""The kinds of surface that a pixel shows."""
 
 
 class ResolvedPoints(NamedTuple):
-    """What a geometry buffer holds, per pixel; see ``skugga.terrain.gbuffer.geometry``. ``cells`` are places in the ground's
-    imagery, empty without any. ``lift_m`` is 0 where no ground is seen.
+    """The arrays of a geometry buffer, per pixel (``skugga.terrain.gbuffer.geometry``).
+
+    ``cells`` are positions in the ground's imagery, empty without imagery. ``lift_m`` is 0 where no ground is seen.
     """
 
     there: np.ndarray
@@ -43,8 +46,22 @@ class ResolvedPoints(NamedTuple):
 
 
 class PixelCamera(NamedTuple):
-    """An eye (3,) in the frame, its rotation (3, 3), and its pixels: ``tangents`` (3,) are those of the first pixel, across and
-    down, and their step, for the picture's ``own_rows``; below them lie pixels (``finer_row``, ``finer_col``) of a finer picture.
+    """A camera and the directions of its pixels.
+
+    Attributes
+    ----------
+    tangents
+        float64 (3,), x / z and y / z of the first pixel, and their step from pixel to pixel.
+    finer_tangents
+        The same of a finer view of the camera.
+    finer_row, finer_col
+        int64 (n, cols), pixels of the finer view. They follow the picture's own rows.
+    own_rows
+        The number of the picture's own rows.
+    eye_frame_m
+        float64 (3,), the eye in the frame.
+    frame_from_camera
+        float64 (3, 3), the rotation.
     """
 
     tangents: np.ndarray
@@ -57,7 +74,17 @@ class PixelCamera(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """The ground's nodes (n,), triangles (t, 3) of them and creases (t,); ``cells`` (n, 2) in its imagery, (0, 2) without any."""
+    """The ground's mesh.
+
+    Attributes
+    ----------
+    position_frame_m, height_m, normal_frame
+        Positions (n, 3), heights (n,) and smooth normals (n, 3) of the nodes.
+    triangles, crease
+        Node indices (t, 3) and creases (t,) of the triangles.
+    cells
+        (n, 2), the nodes' positions in the ground's imagery; (0, 2) without imagery.
+    """
 
     position_frame_m: np.ndarray
     height_m: np.ndarray
@@ -68,7 +95,19 @@ class Ground(NamedTuple):
 
 
 class Faces(NamedTuple):
-    """Meshes' triangles (t, 3) float32: their albedo (t, 3), normals at their corners (t, 3, 3) and creases (t,)."""
+    """The triangles of meshes.
+
+    Attributes
+    ----------
+    triangles
+        int32 (t, 3), vertex indices.
+    albedo
+        float32 (t, 3), linear.
+    normals_frame
+        float32 (t, 3, 3), unit normals at the corners.
+    crease
+        float32 (t,).
+    """
 
     triangles: np.ndarray
     albedo: np.ndarray
@@ -77,7 +116,7 @@ class Faces(NamedTuple):
 
 
 class SolidsInPerspective(NamedTuple):
-    """Meshes in perspective: their vertices (n, 3) and these' heights (n,)."""
+    """Meshes in perspective: positions (n, 3) and heights (n,) of their vertices, and their faces."""
 
     position_frame_m: np.ndarray
     height_m: np.ndarray
@@ -85,7 +124,7 @@ class SolidsInPerspective(NamedTuple):
 
 
 class SolidsInMap(NamedTuple):
-    """Meshes in a map: their vertices (n, 3), and these' columns, rows and heights (n, 3) there."""
+    """Meshes in a map: their vertices (n, 3), the vertices' columns, rows and heights in the map (n, 3), and their faces."""
 
     position_frame_m: np.ndarray
     px: np.ndarray
@@ -93,7 +132,7 @@ class SolidsInMap(NamedTuple):
 
 
 class TreesInPerspective(NamedTuple):
-    """Trees (n,) in perspective, as a ``skugga.terrain.gbuffer.tree_instances.TreeInstances`` has them."""
+    """Trees (n,) in perspective. The arrays are those of ``skugga.terrain.gbuffer.tree_instances.TreeInstances``."""
 
     base_frame_m: np.ndarray
     base_height_m: np.ndarray
@@ -103,7 +142,17 @@ class TreesInPerspective(NamedTuple):
 
 
 class TreesInMap(NamedTuple):
-    """Trees (n,) in a map: the columns, rows and heights of their feet (n, 3), and its pixels per metre (2, 2) of the frame."""
+    """Trees (n,) in a map.
+
+    Attributes
+    ----------
+    base_frame_m, shape, turn, curvature
+        As in ``skugga.terrain.gbuffer.tree_instances.TreeInstances``.
+    px
+        (n, 3), columns, rows and heights of the trees' feet.
+    px_from_m
+        (2, 2), the map's pixels per metre along the frame's first two axes.
+    """
 
     base_frame_m: np.ndarray
     px: np.ndarray
@@ -121,7 +170,10 @@ def resolve_perspective(
     trees: TreesInPerspective,
     albedo_root: np.ndarray,
 ) -> ResolvedPoints:
-    """The points that triangles (numbers (rows, cols)) show; ``albedo_root`` (rows, cols, 3) is of the leaves that are seen."""
+    """Return the points that the numbered triangles (rows, cols) show.
+
+    ``albedo_root`` (rows, cols, 3) holds square roots of the albedo of visible leaves.
+    """
     size = number.shape
     points = ResolvedPoints(
         np.empty(size, np.bool_), np.empty((*size, 3)), np.empty(size, np.float32),
@@ -135,7 +187,7 @@ def resolve_perspective(
 
 @compiled
 def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_root, points):
-    """Rows ``first`` to ``last`` of everything."""
+    """Fill rows ``first`` to ``last`` (exclusive) of ``points``."""
     tangents, finer_tangents, finer_row, finer_col, own_rows, eye, frame_from_camera = camera
     ground_position, ground_height, ground_normal, ground_triangles, ground_crease, ground_cells = ground_nodes
     solid_position, solid_height, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
@@ -145,7 +197,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
     ground, solid = len(ground_triangles), len(solid_triangles)
     p, face = np.empty((3, 3)), np.empty(3, np.float32)
     ray, to_eye = np.empty(3), np.empty(3)
-    before, smooth = np.int64(-1), False  # the triangle that p and these are of: pixels beside one another mostly show the same
+    before, smooth = np.int64(-1), False  # the triangle of p, face and smooth: neighbouring pixels mostly show the same one
     for i in range(first, last):
         for j in range(cols):
             t = np.int64(number[i, j]) - 1
@@ -225,7 +277,7 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
                     albedo[i, j, k] = solid_albedo[s, k]
                 crease[i, j] = solid_crease[s]
                 if normal[i, j, 0] * ray[0] + normal[i, j, 1] * ray[1] + normal[i, j, 2] * ray[2] > 0.0:
-                    for k in range(3):  # an open mesh seen from behind
+                    for k in range(3):  # the back side of an open mesh
                         normal[i, j, k] = -normal[i, j, k]
                         shading[i, j, k] = -shading[i, j, k]
             else:
@@ -237,9 +289,9 @@ def _resolve(first, last, number, camera, ground_nodes, solids, trees, albedo_ro
 
 @compiled
 def resolve_map(number, solids, trees, albedo_root, points):
-    """Put what stands on a map's ground over the ground's ``ResolvedPoints``, where it is higher; these are changed in place.
+    """Write the objects on a map's ground over the ground's ``points`` where they are higher, in place.
 
-    ``number`` (rows, cols) are those of triangles, of ``SolidsInMap`` and then of ``TreesInMap``.
+    ``number`` (rows, cols) counts triangles from 1: first those of ``SolidsInMap``, then those of ``TreesInMap``.
     """
     solid_position, solid_px, (solid_triangles, solid_albedo, solid_normals, solid_crease) = solids
     tree_base, tree_px, tree_shape, tree_turn, curvature, px_from_m = trees
@@ -306,7 +358,7 @@ def _tree_triangle(p, base, shape, turn, curvature, part):
 
 @internal
 def _on_plane(p, eye, ray):
-    """Barycentric coordinates, held inside the triangle, of a ray's meeting with its plane."""
+    """Return the clamped barycentric coordinates of the intersection of a ray with a triangle's plane."""
     e1x, e1y, e1z = p[1, 0] - p[0, 0], p[1, 1] - p[0, 1], p[1, 2] - p[0, 2]
     e2x, e2y, e2z = p[2, 0] - p[0, 0], p[2, 1] - p[0, 1], p[2, 2] - p[0, 2]
     hx, hy, hz = ray[1] * e2z - ray[2] * e2y, ray[2] * e2x - ray[0] * e2z, ray[0] * e2y - ray[1] * e2x
@@ -352,10 +404,10 @@ def _face(p, out):
 
 @compiled
 def _tree_look(point, ray, base, shape, root, shading, albedo):
-    """A rounded crown's normal, and the leaf's colour.
+    """Set the normal of a rounded crown and the leaf's albedo.
 
-    The normal is that of the ellipsoid of the crown where the ray to the point meets it, or comes nearest to it: the same on
-    whichever of the crossed quads the point lies, so that these do not show. It leans upwards a little, as leaves do.
+    The normal is that of the crown's ellipsoid where the ray to the point meets it, or passes nearest to it. It is the same on each
+    of the crossed quads, so that the quads do not show. It leans upwards a little, as leaves do.
     """
     wide, high = max(np.float64(shape[0]), 1e-3), max(CROWN_HALF * shape[2], 1e-3)
     qx, qy, qz = (point[0] - base[0]) / wide, (point[1] - base[1]) / wide, (point[2] - base[2] - CROWN_MIDDLE * shape[2]) / high

@@ -1,13 +1,12 @@
-"""Which normal a light goes by at a point of the ground, and from where it is looked for.
+"""Choose the normal that a light uses at each point of the ground, and where its shadow ray starts.
 
 **Shared points** of a map's ground lie on its nodes, between two of them, or on the diagonals of its quads: several facets meet
-there. Such a point has no normal of its own. Whether light reaches it is up to all of its facets: it is turned away from a light
-only if all of them are, for else it can be seen from there. So a light goes by the facet that faces it most; what has no direction,
-by the mean of all. Neither prefers a side.
+there, and the point has no normal of its own. All of these facets decide whether light reaches it. The point is turned away from a
+light only if all of them are: otherwise it can be seen from the light. So a light uses the facet that faces it most. Quantities
+without a direction use the mean of all. Neither prefers a side.
 
-**Between the raster's nodes** a facet is a chord of smooth ground, and shading takes it for that. So does shadow: the ground is
-turned away from a light where its smooth normal is. From where the light is looked for then:
-``skugga.terrain.gbuffer.smooth_ground``.
+**Between the raster's nodes** a facet is a chord of smooth ground. Shading uses the smooth normal, and so do shadows: the ground is
+turned away from a light where its smooth normal is. ``skugga.terrain.gbuffer.smooth_ground`` moves the start of the shadow ray.
 """
 
 from __future__ import annotations
@@ -26,41 +25,42 @@ from skugga.terrain.geo.grid import MapView
 from skugga.terrain.lights import LightPosition
 
 STEEPEST = 1.0 / 32.0
-"""Least upward part of a facet's unit normal by which a ray's start is lifted: walls may be steeper, but start no ray higher."""
+"""Minimum upward component of a facet's unit normal, to limit the lift of a ray's start: steeper walls lift no ray higher."""
 
 GRAZING = 2.0**-20
-"""A light that meets a surface at no more than this sine (0.2 seconds of arc) counts as below it: unit normals in float32 cannot
-say which side it is on, and what it would give is a millionth of its light.
+"""Sine of the angle (0.2 seconds of arc) up to which a light counts as below a surface. Unit normals in float32 cannot resolve
+the side that it is on, and it would contribute a millionth of its light.
 """
 
 LEAST_LIFT_M = 1e-3
-"""Least lift that takes a point off its facet for float32. Where the smooth ground lies no higher, as in a hollow, a facet that is
-turned away shades it.
+"""Minimum lift that separates a point from its facet in float32, metres. Where the smooth ground lies no higher, as in a hollow,
+a facet that is turned away shades the point.
 """
 
 PARALLEL = 1e-6
-"""Tangent of the angle below which light comes along a side of a facet, seen from above."""
+"""Tangent of the angle in plan below which light is parallel to a side of a facet."""
 
 
 class FacingNormals(NamedTuple):
-    """Of each point of a buffer (rows, cols), for one light.
+    """Normals and ray starts at the points of a buffer (rows, cols), for one light.
 
     Attributes
     ----------
     normal_frame
-        float32 (rows, cols, 3), the unit normal of the facet that faces the light most; the smooth one where that does not face
-        the light, and where the point is lifted.
+        float32 (rows, cols, 3), the unit normal of the facet that faces the light most. The smooth normal where that one does not
+        face the light, and where the point is lifted.
     crease
-        float32 (rows, cols), as a ``GeometryBuffer`` has it, from that normal.
+        float32 (rows, cols), ``crease`` of a ``GeometryBuffer``, measured from that normal.
     lift_frame
-        float32 (rows, cols, 3): what takes a point off its facets, all of them, by one metre or a little more. From a point of one
-        facet that is the buffer's normal, and ``None`` where all points are such. From a shared point the normal of one facet may
-        lead under another: it goes up. Where light comes along the rim of the ground it goes inwards, too: a ray along the rim
-        meets it.
+        float32 (rows, cols, 3), the vector that lifts a point off all of its facets by one metre or a little more; ``None`` where
+        it is the buffer's normal everywhere. A point on one facet uses that normal. From a shared point the normal of one facet
+        may lead below another, so the vector points up. Where light is parallel to the rim of the ground it points inwards, too:
+        a ray along the rim hits it.
     blocked
-        bool (rows, cols): whether a shared point's way to the light goes at once below one of its own facets, which faces away.
+        bool (rows, cols), whether the ray from a shared point to the light at once passes below one of the point's own facets,
+        which faces away.
     lifted
-        bool (rows, cols): where the smooth normal faces the light, no facet does, and the smooth ground lies above.
+        bool (rows, cols), whether the smooth normal faces the light, no facet does, and the smooth ground lies above the facet.
     """
 
     normal_frame: np.ndarray
@@ -71,8 +71,9 @@ class FacingNormals(NamedTuple):
 
 
 def _from_afar(buffer: GeometryBuffer, light: LightPosition) -> bool:
-    """Whether a light comes from one direction to triangles of a perspective view: then it is all one where on them points lie, or
-    have been put, and which of them are looked at.
+    """Return whether the light is directional and the view is in perspective.
+
+    Then the result depends neither on where on their triangles the points lie, or were moved to, nor on which of them are queried.
     """
     return buffer.surface is None and light.w == 0.0
 
@@ -85,7 +86,7 @@ def _made_from(buffer: GeometryBuffer, light: LightPosition) -> tuple[object, ..
 
 @cached("light", 512 * MIB, key=_made_from, most=8)
 def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormals:
-    """Which normals a light goes by; off the surface they mean nothing. The last ones are kept."""
+    """Return the normals that a light uses. Values off the surface are undefined."""
     nowhere = np.zeros(buffer.there.shape, bool)
     facing = FacingNormals(buffer.normal_frame.copy(), buffer.crease.copy(), None, nowhere, nowhere.copy())
     view, surface, ground = buffer.view, buffer.surface, buffer.kind == RELIEF
@@ -107,7 +108,7 @@ def facing_normals(buffer: GeometryBuffer, light: LightPosition) -> FacingNormal
 
 @compiled
 def _turn_to(nodes, faces, falls, centre, row, col, ground, position, light, facing):
-    """Put in what holds for the facet that faces a light most, where several share a point of the ground."""
+    """Write normal, crease, lift and blocking of the facet that faces a light most, where several share a point of the ground."""
     normal, crease, lift, blocked, _ = facing
     found, axes = np.empty((8, 3), np.int64), np.empty((3, 3))
     for i in range(row.size):
@@ -143,7 +144,11 @@ def _turn_to(nodes, faces, falls, centre, row, col, ground, position, light, fac
 
 @compiled
 def _go_by_smooth(first, last, ground, smooth, lift, position, light, facing):
-    """Put in what holds for the smooth ground: its normal where it does not face a light, or it alone does from above the facet."""
+    """Write the smooth ground's values at points where its normal decides.
+
+    It does where the smooth normal does not face the light, and where it alone faces the light and the smooth ground lies above
+    the facet.
+    """
     normal, crease, _, blocked, lifted = facing
     for i in range(first, last):
         for j in range(ground.shape[1]):
@@ -170,7 +175,7 @@ def _along(vector, axis):
 
 @internal
 def _axes_at(point, centre, out):
-    """Two horizontal axes and the one up at a point, the rows of (3, 3); the frame's own in a flat world."""
+    """Write two horizontal unit axes and the one up at a point as rows (3, 3). In a flat world they are the frame's axes."""
     up = out[2]
     up_at(point, centre, up)
     first = 0 if abs(up[0]) < 0.7 else 1
@@ -185,15 +190,16 @@ def _axes_at(point, centre, out):
 
 @internal
 def _in_plan(node, p, axes):
-    """Where a node lies as seen from above, from a point on."""
+    """Return a node's position in plan, relative to a point."""
     x, y, z = node[0] - p[0], node[1] - p[1], node[2] - p[2]
     return axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z, axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
 
 
 @internal
 def _leads_over(nodes, falls, facet, p, axes, east, north):
-    """Whether a way from a point on a facet's side or corner leads, seen from above, over the facet: no share that the point has
-    none of (its barycentric coordinates) falls on the way.
+    """Return whether a ray from a point on a facet's side or corner leads, in plan, over the facet.
+
+    It does if none of the point's barycentric coordinates that are 0 decreases along the ray.
     """
     r, c, half = facet
     corners = facet_corners(falls[r, c], half)
@@ -212,7 +218,10 @@ def _leads_over(nodes, falls, facet, p, axes, east, north):
 
 @internal
 def _on_rim(falls, found, count, row, col):
-    """Whether quads are missing round a place on a node or between two, or the other half of a quad on whose diagonal it lies."""
+    """Return whether a position on a node or between two nodes lies on the rim of the ground.
+
+    There a quad round it is missing, or the other half of a quad on whose diagonal it lies.
+    """
     quads = 0
     for k in range(count):
         r, c = found[k, 0], found[k, 1]
@@ -229,7 +238,7 @@ def _on_rim(falls, found, count, row, col):
 
 @internal
 def _along_a_side(nodes, falls, found, count, p, axes, east, north):
-    """Whether a way from a point runs, seen from above, along a side of one of its facets."""
+    """Return whether a ray from a point is parallel, in plan, to a side of one of its facets."""
     for k in range(count):
         r, c, half = found[k]
         for down, right in facet_corners(falls[r, c], half):
@@ -242,7 +251,7 @@ def _along_a_side(nodes, falls, found, count, p, axes, east, north):
 
 @internal
 def _inwards(nodes, falls, found, count, p, axes):
-    """The horizontal direction, of unit length, from a point to the middle of its facets."""
+    """Return the horizontal unit vector from a point to the middle of its facets."""
     east, north = 0.0, 0.0
     for k in range(count):
         r, c, half = found[k]

@@ -1,4 +1,4 @@
-"""From where a light is looked for between nodes: from the smooth ground, where that faces it and the facet does not."""
+"""Move shadow-ray starts to the smooth ground between nodes where it faces a light and the facet does not."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from skugga.terrain.lights import LightPosition
 
 
 def on_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBuffer:
-    """A buffer with the points on the smooth ground that see a light from there alone (``skugga.terrain.gbuffer.lift``); they lie
-    on no triangle. The buffer itself where there are none, or where they have been put there already.
+    """Return a buffer whose points lie on the smooth ground where only the smooth ground faces a light.
+
+    These points (``skugga.terrain.gbuffer.lift``) lie on no triangle. Returns the same buffer if no point moves, or if its points
+    were moved already.
     """
     if buffer.lift_m is None or buffer.lifted is not None:
         return buffer
@@ -40,7 +42,7 @@ def on_smooth_ground(buffer: GeometryBuffer, light: LightPosition) -> GeometryBu
 
 @compiled
 def _put(first, last, points, triangles, lifted, lift, origin, in_map, position, corners):
-    """Points as they are, but for those that are lifted: up from a centre in a map, else towards an eye, half-way at most."""
+    """Copy points, and move the lifted ones: up, away from a centre, in a map; else towards the eye, at most half-way."""
     way = np.empty(3)
     for i in range(first, last):
         for j in range(lifted.shape[1]):

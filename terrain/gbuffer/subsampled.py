@@ -1,4 +1,4 @@
-"""Views with fewer pixels: every n-th pixel of a view as it is in the full one, nothing in between."""
+"""Subsample views: take every n-th pixel as it is in the full view, without filtering."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _OF_PIXELS = (
 
 
 def subsampled_view(view: MapView | PerspectiveView, every: int) -> MapView | PerspectiveView:
-    """Every n-th pixel of a view along rows and columns, from the first one on: each as wide as it is in the view."""
+    """Return the view of every n-th pixel along rows and columns, from the first one. Pixels keep their width."""
     rows, cols, share = -(-view.rows // every), -(-view.cols // every), view.pixel_share / every
     if isinstance(view, MapView):
         row_step, col_step = view.row_step * every, view.col_step * every
@@ -27,8 +27,9 @@ def subsampled_view(view: MapView | PerspectiveView, every: int) -> MapView | Pe
 
 
 def subsampled_points(buffer: GeometryBuffer, every: int, first: tuple[int, int] = (0, 0)) -> GeometryBuffer:
-    """A buffer's points in every n-th pixel from the ``first`` one on, just as they are, to look from for a light. Colours and
-    columns are left out.
+    """Return a buffer with the points of every n-th pixel from ``first`` (row, column) on, unchanged, for shadow queries.
+
+    Albedo and columns are left out.
     """
     row, col = first
     view = subsampled_view(buffer.view.part(row, col, buffer.view.rows - row, buffer.view.cols - col), every)

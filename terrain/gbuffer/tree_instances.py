@@ -1,11 +1,11 @@
-"""The trees as a view draws them: thinned out where they are too small to be told apart, their shade kept.
+"""Select and scale the trees that a view draws: decimated where they are too small to tell apart, with the same shade.
 
-Where trees fall below a few pixels, a share k of them is drawn, evenly spread over the stand (``skugga.terrain.trees.thinning``),
-and what remains is drawn larger by the root of 1/k in all directions: a stand of the same shape on a coarser scale. Light falls on
-and through the two alike, from whatever direction, so that the share of the stand and its ground that lies in shadow holds; the
-grain and the length of single trees' shadows do not. The same trees are seen, cast and are met by rays.
+Where trees are smaller than a few pixels, a share k of them is drawn, evenly spread over the stand
+(``skugga.terrain.trees.thinning``). The remaining trees are enlarged by 1 / sqrt(k) in all directions: the stand keeps its shape
+on a coarser scale. Light from any direction falls on and through both alike, so that the shaded share of the stand and its ground
+is preserved. The grain and the length of single trees' shadows are not. The picture, shadow maps and rays use the same trees.
 
-In perspective k follows the distance from the eye (not the direction of view); in a map it is one for all of a zoom.
+In perspective k depends on the distance from the eye (not on the direction of view); a map has one k for each zoom level.
 """
 
 from __future__ import annotations
@@ -22,34 +22,35 @@ from skugga.terrain.trees.foliage import TREE_VARIANTS, leaf_outlines
 from skugga.terrain.trees.trees import Trees
 
 ALL_TREES_PX = 6.8
-"""Height in pixels from which all trees of a perspective view are drawn."""
+"""Tree height in pixels from which a perspective view draws all trees."""
 
 ALL_CROWNS_PX = 1.5
-"""Crown diameter in pixels from which all trees of a map are drawn."""
+"""Crown diameter in pixels from which a map draws all trees."""
 
 MIN_DRAWN_SHARE = 1.0 / 16.0
-"""No stand is thinned more."""
+"""Lower bound of the share of trees that is drawn."""
 
 QUAD_TRIANGLES = np.array([[4 * quad + a, 4 * quad + b, 4 * quad + c] for quad in range(3) for a, b, c in ((0, 1, 2), (0, 2, 3))])
-"""The triangles (6, 3) of a tree's corners: two of each quad."""
+"""Corner indices (6, 3) of a tree's triangles: two for each quad."""
 
 
 @dataclass(frozen=True, eq=False)
 class TreeInstances:
-    """The trees drawn, in a frame; one row each.
+    """The drawn trees in a frame, one row each.
 
     Attributes
     ----------
     number
         int64 (n,), their rows in ``Trees``.
     base_frame_m, base_height_m
-        float64 (n, 3) and (n,), the feet and their heights.
+        float64 (n, 3) and (n,), the feet and their heights, metres.
     shape
-        float32 (n, 4): half the width of the upright quads, half that of the level one, height, height of the level one; metres.
+        float32 (n, 4), metres: half the width of the upright quads, half the width of the level quad, the tree's height, and
+        the height of the level quad.
     turn
-        float32 (n, 2): cosine and sine of the turn.
-    look
-        int32 (n,).
+        float32 (n, 2), cosine and sine of the rotation about the stem.
+    variant
+        int32 (n,), index in ``TREE_VARIANTS``.
     curvature
         How much "up" leans per metre from the frame's origin.
     """
@@ -66,37 +67,43 @@ class TreeInstances:
         return len(self.variant)
 
     def some(self, which: np.ndarray) -> TreeInstances:
-        """The trees at some indices or where a mask says."""
+        """Return the trees that indices or a mask select."""
         return TreeInstances(
             self.number[which], self.base_frame_m[which], self.base_height_m[which], self.shape[which], self.turn[which],
             self.variant[which], self.curvature,
         )  # fmt: skip
 
     def reaching(self, rotation: np.ndarray, translation: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Indices of the trees whose bounding spheres, in the axes ``rotation @ point + translation``, reach into bounds (3,)."""
+        """Return the indices of the trees whose bounding spheres intersect a box.
+
+        ``low`` and ``high`` (3,) bound the box in the axes ``rotation @ point + translation``.
+        """
         found = np.empty(len(self), np.bool_)
         in_shares(len(self), _reaching, self.base_frame_m, self.shape, rotation, translation, low, high, found)
         return np.flatnonzero(found)
 
     def in_cone(self, eye: np.ndarray, rotation: np.ndarray, tangents: np.ndarray) -> np.ndarray:
-        """Indices of the trees whose bounding spheres reach into a pyramid from an eye along the third axis of ``rotation``.
+        """Return the indices of the trees whose bounding spheres intersect a viewing pyramid.
 
-        ``tangents`` are its least and greatest x / z and y / z.
+        The apex is ``eye``, the axis the third row of ``rotation``; ``tangents`` are the minimum and maximum of x / z and of y / z.
         """
         found = np.empty(len(self), np.bool_)
         in_shares(len(self), _in_cone, self.base_frame_m, self.shape, eye, rotation, tangents, found)
         return np.flatnonzero(found)
 
     def nearest_first(self, which: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-        """The trees at some indices in their order along a direction (3,): what a rasteriser finds hidden it need not colour."""
+        """Return the indices ``which`` sorted front to back along a direction (3,).
+
+        A rasteriser need not colour what earlier trees hide.
+        """
         return which[np.argsort(self.base_frame_m[which] @ ahead, kind="stable")]
 
     def corners(self) -> np.ndarray:
-        """The quads' corners (n, 3, 4, 3) float64 in the frame: two upright ones, then the level one."""
+        """Return the quads' corners (n, 3, 4, 3) float64 in the frame: two upright quads, then the level one."""
         return tree_corners(self.base_frame_m, self.shape, self.turn, self.curvature)
 
     def outlines(self) -> np.ndarray:
-        """Corners (n, 3, k, 3) in the frame of convex polygons on the quads that hold all leaves."""
+        """Return the corners (n, 3, k, 3) in the frame of convex polygons on the quads that contain all leaves."""
         corners, pictures = self.corners(), leaf_outlines()
         uv = pictures[2 * self.variant[:, None] + np.array([0, 0, 1])]
         right, up = (corners[:, :, end] - corners[:, :, 0] for end in (1, 3))
@@ -104,19 +111,19 @@ class TreeInstances:
 
 
 def _made_from(objects: SceneObjects, *more: object) -> tuple[object, ...]:
-    """Trees stand still: they are kept while meshes move."""
+    """Return the cache key. It leaves out meshes: trees stand still while meshes move."""
     return objects.elevation, objects.trees, *more
 
 
 @cached("scene", 512 * MIB, key=_made_from)
 def tree_instances_in_map(objects: SceneObjects, frame: LocalFrame, pixel_m: float) -> TreeInstances | None:
-    """The trees of a map, beyond its rim too; ``None`` without any. The last ones are kept."""
+    """Return the trees of a map, also beyond its rim; ``None`` without trees."""
     trees = objects.trees
     return None if trees is None else _stand(objects, trees, frame, trees.crown_m / (pixel_m * ALL_CROWNS_PX))
 
 
 def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
-    """Whether a map draws any of some trees, rather than thinning all of them out."""
+    """Return whether a map draws at least one tree, or thins all of them out."""
     return bool((trees.rank < _share(trees.crown_m / (pixel_m * ALL_CROWNS_PX))).any())
 
 
@@ -124,7 +131,7 @@ def map_draws_trees(trees: Trees, pixel_m: float) -> bool:
 def tree_instances_in_perspective(
     objects: SceneObjects, frame: LocalFrame, eye_earth_m: tuple[float, float, float], focal_px: float
 ) -> TreeInstances | None:
-    """The trees all round an eye; ``None`` without any. The last ones are kept."""
+    """Return the trees in all directions from an eye; ``None`` without trees."""
     trees = objects.trees
     if trees is None:
         return None
@@ -134,7 +141,7 @@ def tree_instances_in_perspective(
 
 
 def _stand(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndarray) -> TreeInstances:
-    """``size`` is each tree's as a share of that from which all are drawn."""
+    """Return the drawn trees. ``size`` (n,) is each tree's size over the size from which all trees are drawn."""
     share = _share(size)
     number = np.flatnonzero(trees.rank < share)
     share = share[number]
@@ -154,21 +161,24 @@ def _stand(objects: SceneObjects, trees: Trees, frame: LocalFrame, size: np.ndar
 
 @cached("scene", 64 * MIB)
 def _turns(trees: Trees) -> np.ndarray:
-    """Cosines and sines (n, 2) float32 of all trees' turns."""
+    """Return cosine and sine (n, 2) float32 of the rotation of all trees."""
     turn = np.radians(trees.turn_deg.astype(np.float64))
     return np.stack([np.cos(turn), np.sin(turn)], axis=1).astype(np.float32)
 
 
 @cached("scene", 256 * MIB, key=_made_from)
 def _bases(objects: SceneObjects, frame: LocalFrame) -> np.ndarray:
-    """The feet (n, 3) of all trees in a frame, which holds for many eyes."""
+    """Return the feet (n, 3) of all trees in a frame, which several eyes share."""
     assert objects.trees is not None
     return frame.points_from_earth(objects.trees.base_earth_m)
 
 
 @compiled
 def _seen_from(first, last, base, eye, height_px, out):
-    """Trees' heights in pixels as shares of that from which all are drawn; ``height_px`` at the distance 1."""
+    """Write the trees' heights in pixels as shares of the height from which all trees are drawn.
+
+    ``height_px`` are their heights in pixels at a distance of 1 m.
+    """
     for n in range(first, last):
         x, y, z = base[n, 0] - eye[0], base[n, 1] - eye[1], base[n, 2] - eye[2]
         out[n] = height_px[n] / (max(np.sqrt(x * x + y * y + z * z), 1.0) * ALL_TREES_PX)
@@ -180,7 +190,7 @@ def _share(size: np.ndarray) -> np.ndarray:
 
 @internal
 def tree_corner(base, shape, turn, curvature, quad, corner):
-    """One corner (x, y, z) of one quad of a tree, and its v coordinate (u is 0 at corners 0 and 3, else 1)."""
+    """Return one corner (x, y, z) of one quad of a tree. Its texture coordinate u is 0 at corners 0 and 3, else 1."""
     cosine, sine = np.float64(turn[0]), np.float64(turn[1])
     x, y = base[0] * curvature, base[1] * curvature
     scale = 1.0 / np.sqrt(1.0 + x * x + y * y)
@@ -202,7 +212,7 @@ def tree_corner(base, shape, turn, curvature, quad, corner):
 
 @internal
 def tree_radius(shape):
-    """Radius of a sphere round the middle of a tree's stem that holds all of its quads."""
+    """Return the radius of a bounding sphere of a tree's quads round the middle of its stem."""
     across = max(shape[0], 1.4143 * shape[1])
     return np.sqrt(across * across + 0.25 * shape[2] * shape[2])
 

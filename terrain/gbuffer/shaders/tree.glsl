@@ -1,12 +1,12 @@
-// One vertex of a tree: four corners of each of three quads, numbered by gl_VertexID. See terrain/gbuffer/tree_instances.py.
+// One vertex of a tree. gl_VertexID numbers four corners of each of three quads. See terrain/gbuffer/tree_instances.py.
 in vec3 base;
-in vec4 shape;  // half widths of the upright quads and of the level one, height, height of the level one
-in vec3 look;   // cosine and sine of the turn, number of the look
+in vec4 shape;  // half width of the upright quads, half width of the level quad, tree height, height of the level quad
+in vec3 look;   // cosine and sine of the rotation about the stem, index of the tree variant
 uniform float curvature;
 
 const vec2 CORNERS[4] = vec2[](vec2(-1, 0), vec2(1, 0), vec2(1, 1), vec2(-1, 1));
 
-// Offset from the foot: east and north before the lean of "up", and up.
+// Offset from the foot: east, north and up. tree_position applies the curvature to "up".
 vec3 tree_offset() {
     int quad = gl_VertexID / 4;
     vec2 corner = CORNERS[gl_VertexID % 4];
@@ -21,7 +21,7 @@ vec3 tree_position(vec3 offset) {
     return base + vec3(offset.xy, 0.0) + offset.z * up;
 }
 
-// Texture coordinates and layer: pictures from the side are even layers, from above odd ones.
+// Texture coordinates and layer: side views are even layers, top views odd ones.
 vec3 tree_texture() {
     vec2 corner = CORNERS[gl_VertexID % 4];
     return vec3(0.5 * corner.x + 0.5, 1.0 - corner.y, 2.0 * look.z + (gl_VertexID / 4 == 2 ? 1.0 : 0.0));

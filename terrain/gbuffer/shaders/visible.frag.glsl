@@ -1,4 +1,4 @@
-uniform int first;  // triangles before this draw's first one
+uniform int first;  // number of triangles in earlier draws
 layout(location = 0) out uint seen;
 layout(location = 1) out vec4 albedo;
 

@@ -1,4 +1,4 @@
-// Perspective: depth is near / z, so 1 at the near plane and 0 infinitely far away.
+// Perspective with reversed depth near / z: 1 at the near plane, 0 at infinity.
 in vec3 position;
 uniform mat3 camera_from_frame;
 uniform vec3 eye_frame_m;

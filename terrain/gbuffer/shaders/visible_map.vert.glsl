@@ -1,4 +1,4 @@
-// A map: position is a pixel's column and row and a height from 0 to 1; the highest wins.
+// Map: position is a pixel's column and row, and a height from 0 to 1. The depth test keeps the highest.
 in vec3 position;
 uniform vec2 size_px;
 

@@ -1,7 +1,7 @@
 uniform int first;
 uniform sampler2DArray foliage;
 uniform float threshold;
-uniform float level_bias;  // of the pictures of leaves, where pixels are less wide than their distance
+uniform float level_bias;  // mip level bias of the leaves' textures, for views with pixels narrower than their spacing
 uniform bool in_map;
 flat in int tree;
 flat in vec3 foot;
@@ -11,11 +11,11 @@ in vec3 at;
 layout(location = 0) out uint seen;
 layout(location = 1) out vec4 albedo;
 
-// Rays flatter than the second (a cosine) take their colour from the picture upright before the eye, steeper ones than the first none.
+// Range of the ray's cosine to the horizontal over which the colour changes from the quad's own to that of the facing side view.
 const vec2 FLAT = vec2(0.35, 0.65);
 
-// The colour that the picture from the side would show if it stood upright before the eye, whichever quad is seen: what is drawn out
-// on a quad that is seen along its plane would draw a line through the crown. What is leaf and what is gap the quad says.
+// The colour of the side view as an upright billboard that faces the eye, whichever quad is seen. Otherwise the stretched texture
+// of a quad seen edge-on would draw a line through the crown. The alpha test still uses the quad's own texture.
 vec3 facing_color(vec3 own) {
     vec3 ray = foot + above_foot;
     vec2 ahead = normalize(foot.xy);
@@ -31,5 +31,5 @@ void main() {
     if (leaf.a < threshold) discard;
     vec3 color = in_map ? leaf.rgb : facing_color(leaf.rgb);
     seen = uint(first + tree * 6 + gl_PrimitiveID) + 1u;
-    albedo = vec4(sqrt(color), 1.0);  // roots, so that eight bits hold dark greens
+    albedo = vec4(sqrt(color), 1.0);  // square roots, so that eight bits resolve dark greens
 }

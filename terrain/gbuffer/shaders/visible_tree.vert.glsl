@@ -4,11 +4,11 @@ uniform vec4 window;
 uniform float near_m;
 uniform bool in_map;
 uniform vec2 size_px;
-uniform mat2 px_from_m;  // of a map: pixels (column, row) per metre east and north
-uniform float height_m;  // of a map: the range that heights from 0 to 1 stand for
+uniform mat2 px_from_m;  // maps: pixels (column, row) per metre east and north
+uniform float height_m;  // maps: the range of heights that 0 to 1 represent
 flat out int tree;
-flat out vec3 foot;      // from the eye
-flat out vec3 crown;     // half the width and the height of the upright quads, layer of their picture
+flat out vec3 foot;      // relative to the eye
+flat out vec3 crown;     // half width and height of the upright quads, layer of their texture
 out vec3 above_foot;
 out vec3 at;
 
