@@ -1,4 +1,4 @@
-"""Compiled loops on disk: what identifies one, where it is stored, and how missing ones are compiled ahead.
+"""Disk cache of compiled loops: cache keys, storage, and ahead-of-time compilation of missing entries.
 
-Every module may use ``skugga.terrain.compiled``, which stands on it.
+Every module may use the decorators of ``skugga.terrain.compiled``, which build on this package.
 """

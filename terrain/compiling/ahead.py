@@ -1,4 +1,4 @@
-"""Compile what a product needs before it is called, on all cores, in a process of its own. Imports no numba."""
+"""Compile the loops of products ahead of time, on several cores, in a separate process. Imports no numba."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-"""The folder that holds the package ``skugga``: of a clone its root, of an installation ``site-packages``."""
+"""Folder that contains the package ``skugga``: the root of a clone, or ``site-packages`` of an installation."""
 
 MAPS, MAPS_OF_CASTERS, PICTURES, MASKS = "map tiles", "maps of woods and buildings", "pictures", "masks"
 SUN_HOURS, POINTS, VIEWS = "hours of sun", "points", "perspective views"
 PRODUCTS = MAPS, MAPS_OF_CASTERS, SUN_HOURS, POINTS, VIEWS, PICTURES, MASKS
-"""Products whose loops are compiled together, in words for people; in the order in which a service compiles them."""
+"""Products whose loops are compiled together, named for people, in the order in which a service compiles them."""
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is done in words, the number of loops that are compiled, and of all that were missing."""
+"""Callback with three arguments: the task in words, the number of compiled loops, the number of all missing loops."""
 
 log = logging.getLogger("skugga")
 
@@ -30,22 +30,22 @@ def compile_ahead(
     background: bool = False,
     on_start: Callable[[subprocess.Popen[str]], None] = lambda process: None,
 ) -> None:
-    """Compile the loops that some products need and that are stored nowhere; return when they are stored.
+    """Compile the loops that some products need and that the cache lacks. Block until they are stored.
 
-    A failure is told in the log, and is no error: what is missing is compiled when it is called.
+    A failure is logged and raises no error: a missing loop is compiled on its first call.
 
     Parameters
     ----------
     products
         Some of ``PRODUCTS``.
     processes
-        Cores to take.
+        Number of cores to use.
     progress
-        Called when it is known how many loops are missing, and after each.
+        Called once when the number of missing loops is known, and then after each compiled loop.
     background
         Compile at the lowest priority.
     on_start
-        Called with the process that compiles. Killing it ends the work; what it has compiled is stored.
+        Called with the compiling process. Killing that process stops the work; loops compiled until then stay stored.
     """
     command = [sys.executable, "-m", "skugga.terrain.compiling.farm", f"--processes={processes}", *["--background"] * background]
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
@@ -53,7 +53,7 @@ def compile_ahead(
     try:
         farm = subprocess.Popen([*command, *products], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, text=True)
     except OSError as error:
-        log.warning("loops cannot be compiled ahead: %s", error.strerror)
+        log.warning("compiled loops: cannot be compiled ahead (%s). They are compiled on their first call.", error.strerror)
         return
     with farm:
         try:
@@ -66,4 +66,6 @@ def compile_ahead(
             farm.kill()
             raise
     if farm.returncode > 0:
-        log.warning("loops cannot be compiled ahead (exit status %d); they are compiled when they are called", farm.returncode)
+        log.warning(
+            "compiled loops: cannot be compiled ahead (exit status %d). They are compiled on their first call.", farm.returncode
+        )

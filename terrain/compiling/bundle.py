@@ -1,7 +1,7 @@
-"""Compiled loops that come with a wheel, for any processor of the level x86-64-v3. Imports no numba.
+"""Compiled loops bundled with a wheel, for any processor of the level x86-64-v3. Imports no numba.
 
-A wheel holds the loops of one version of Python, numba and NumPy. They fit where those are the same and the processor has the
-instructions of x86-64-v3; elsewhere they are ignored, and loops are compiled for the processor that is there.
+A wheel holds the loops of one version each of Python, numba and NumPy. They are used where these versions match and the processor
+has the instructions of x86-64-v3. Elsewhere they are ignored, and loops are compiled for the local processor.
 """
 
 from __future__ import annotations
@@ -18,15 +18,18 @@ FOLDER = Path(__file__).with_name("bundled")
 VERSIONS = "versions.json"
 
 TARGET = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": ""}
-"""Variables by which numba compiles for any such processor: the name alone would be joined by the features of this one."""
+"""Environment variables that make numba compile for any x86-64-v3 processor.
+
+Given the name alone, numba would add the features of the local processor.
+"""
 
 FLAGS = frozenset({"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"})
-"""Instructions of x86-64-v3 beyond those of v2, as ``/proc/cpuinfo`` names them."""
+"""Instruction sets that x86-64-v3 adds to v2, as named in ``/proc/cpuinfo``."""
 
 
 def installed_versions() -> dict[str, str]:
-    """Return the versions that machine code depends on. Raises ``ImportError`` where one is not installed."""
-    from importlib.metadata import version  # slow to import, and a clone has no use for it
+    """Return the package versions that machine code depends on. Raises ``ImportError`` if one is not installed."""
+    from importlib.metadata import version  # slow to import, and a clone does not need it
 
     found = {"python": sys.implementation.cache_tag or ""}
     found |= {name: version(name) for name in ("numba", "llvmlite")}
@@ -34,11 +37,11 @@ def installed_versions() -> dict[str, str]:
 
 
 def use_bundled_loops(folder: Path = FOLDER, cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
-    """Let numba use the loops of the wheel where they fit, in this process and its children; return whether they do.
+    """Make numba use the bundled loops in this process and its children. Return whether they match this machine.
 
-    It sets environment variables, and has to be called before numba is imported: by programs of ours, never by a library.
+    Sets environment variables and must run before numba is imported. Only programs call it, never library code.
     """
-    with suppress(OSError, ValueError, ImportError):  # a package that is not found is an ``ImportError``
+    with suppress(OSError, ValueError, ImportError):  # ``PackageNotFoundError`` is an ``ImportError``
         fits = json.loads((folder / VERSIONS).read_text(encoding="utf-8")) == installed_versions() and _is_v3(cpuinfo)
         if fits and not any(name in os.environ for name in TARGET):
             os.environ.update(TARGET)

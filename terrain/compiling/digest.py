@@ -1,8 +1,8 @@
-"""The identity of a compiled loop: a digest of everything that its machine code depends on.
+"""Digest of a compiled loop: a content hash of everything that its machine code depends on.
 
-Numba looks at the source file of the loop alone. A loop also depends on the loops that it calls, and on the values of the globals
-that it reads, both frozen into its machine code when it is compiled. The digest covers them, recursively. It does not cover what
-leaves the machine code as it is: line numbers, comments, docstrings, the path and the time of the file.
+Numba's own cache key covers the source file of the loop only. A loop also depends on the loops that it calls and on the values of
+the globals that it reads. Compilation freezes both into the machine code. The digest covers them recursively. It leaves out
+everything that does not change the machine code: line numbers, comments, docstrings, the path and the time of the file.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from numba.core import types
 from numba.core.dispatcher import Dispatcher
 
 LIBRARIES = frozenset({"_heapq", "builtins", "cmath", "heapq", "math", "numba", "numpy", "operator"})
-"""Packages whose functions are identified by their names: their versions are part of the key of every stored loop."""
+"""Packages whose functions are identified by name. Their versions are part of the cache key of every loop."""
 
 DigestOf = Callable[[Dispatcher], str]
 
 
 class UnknownValueError(TypeError):
-    """A loop reads a value whose content cannot be digested."""
+    """A loop reads a value that has no digest."""
 
 
 def digest(description: Hashable) -> str:
@@ -33,14 +33,14 @@ def digest(description: Hashable) -> str:
 
 
 def describe_function(function: FunctionType, digest_of_callee: DigestOf) -> Hashable:
-    """Describe a function: its bytecode and constants, and the values of the globals and free variables that it reads.
+    """Describe a function by its bytecode, its constants, and the values of the globals and free variables that it reads.
 
     Parameters
     ----------
     function
-        The function as Python sees it.
+        The uncompiled Python function.
     digest_of_callee
-        Gives the digest of a compiled loop that the function calls.
+        Returns the digest of a compiled loop that the function calls.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def describe_function(function: FunctionType, digest_of_callee: DigestOf) -> Has
     Raises
     ------
     UnknownValueError
-        Where the function reads a value whose content is not known to this module.
+        If the function reads a value of a type that this module cannot describe.
     """
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     return (
@@ -65,12 +65,12 @@ def describe_function(function: FunctionType, digest_of_callee: DigestOf) -> Has
 
 
 def describe_types(args: tuple[types.Type, ...]) -> Hashable:
-    """Describe the types of a signature. Named tuples carry the order of their fields, which numba's own names leave out."""
+    """Describe the argument types of a signature. Named tuples include the order of their fields, which numba's names lack."""
     return tuple(_describe_type(each) for each in args)
 
 
 def _describe_type(numba_type: types.Type) -> Hashable:
-    tuple_type: Any = numba_type  # numba's stubs do not say what it holds
+    tuple_type: Any = numba_type  # numba's stubs lack its attributes
     if isinstance(numba_type, types.BaseNamedTuple):
         return "named tuple", _describe_class(tuple_type.instance_class), describe_types(tuple(tuple_type.types))
     if isinstance(numba_type, types.BaseTuple):
@@ -81,7 +81,7 @@ def _describe_type(numba_type: types.Type) -> Hashable:
 
 
 def _describe_code(code: CodeType, doc: str | None) -> Hashable:
-    """Describe bytecode. ``doc`` is the docstring, a constant that no instruction loads."""
+    """Describe bytecode. ``doc`` is the docstring, which is left out: no instruction loads this constant."""
     constants = [
         _describe_code(constant, None) if isinstance(constant, CodeType) else (type(constant).__name__, repr(constant))
         for constant in code.co_consts
@@ -94,7 +94,10 @@ def _describe_code(code: CodeType, doc: str | None) -> Hashable:
 
 
 def _describe_globals(function: FunctionType, digest_of_callee: DigestOf) -> Iterator[Hashable]:
-    """Describe the global values that a function may read. ``co_names`` holds attributes, too: a global of such a name counts."""
+    """Describe the globals that a function may read.
+
+    ``co_names`` also holds attribute names. A global that has the name of an attribute is therefore included.
+    """
     names = tuple(dict.fromkeys(_names(function.__code__)))
     for name in names:
         if name in function.__globals__:
@@ -109,7 +112,7 @@ def _names(code: CodeType) -> Iterator[str]:
 
 
 def _describe(value: Any, attributes: tuple[str, ...], digest_of_callee: DigestOf) -> Hashable:
-    """Describe a value. Of a module only the ``attributes`` that a function may read count."""
+    """Describe a value. A module is described by those of the ``attributes`` that it has."""
 
     def described(part: Any) -> Hashable:
         return _describe(part, (), digest_of_callee)
@@ -147,7 +150,7 @@ def _describe(value: Any, attributes: tuple[str, ...], digest_of_callee: DigestO
     owner = getattr(value, "__module__", None) or type(value).__module__
     if _is_library(owner) or isinstance(value, BuiltinFunctionType | np.ufunc):
         return "library", owner, getattr(value, "__qualname__", None) or getattr(value, "__name__", None) or repr(value)
-    if isinstance(value, FunctionType):  # one that numba was told to compile into its callers
+    if isinstance(value, FunctionType):  # registered with numba, which compiles it into its callers
         return "function", describe_function(value, digest_of_callee)
     raise UnknownValueError(f"a {type(value).__name__} of {owner}")
 

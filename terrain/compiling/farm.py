@@ -1,9 +1,10 @@
-"""A process that compiles loops ahead, on several cores, and stores them: ``python -m skugga.terrain.compiling.farm``.
+"""Process that compiles loops ahead of time on several cores and stores them: ``python -m skugga.terrain.compiling.farm``.
 
-It imports the modules of the loops once, then forks one child for each core. A loop is compiled when the loops that it calls are
-stored, so that no two children compile the same. Products go in the order of the command line, and of each the longest chain of
-calls goes first. A line ``done total product`` is printed for each loop. A child that is killed costs its loop, which is compiled
-when it is called.
+- The process imports the modules of the loops once and then forks one worker per core.
+- A loop is compiled after the loops that it calls are stored, so no two workers compile the same loop.
+- Products are compiled in the order of the command line. Within a product the longest chain of calls goes first.
+- The process prints a line ``done total product`` for each loop.
+- If a worker is killed, only its current loop is lost. That loop is compiled on its first call.
 """
 
 from __future__ import annotations
@@ -34,7 +35,17 @@ LOWEST_PRIORITY = 19
 
 
 class Task(NamedTuple):
-    """A loop to compile for the types of its arguments; ``rank`` is the first of the products asked for that needs it."""
+    """A loop to compile for given argument types.
+
+    Attributes
+    ----------
+    loop
+        The numba dispatcher.
+    args
+        Types of its arguments.
+    rank
+        Index of the first requested product that needs the loop.
+    """
 
     loop: Any
     args: tuple[Any, ...]
@@ -42,15 +53,15 @@ class Task(NamedTuple):
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Compile what some products need and is stored nowhere."""
+    """Compile the loops that some products need and that the cache lacks."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--background", action="store_true", help="at the lowest priority")
     parser.add_argument("products", nargs="+")
     asked = parser.parse_args(argv)
-    logging.getLogger("skugga").setLevel(logging.ERROR)  # whoever uses the store warns of it, once
+    logging.getLogger("skugga").setLevel(logging.ERROR)  # the process that uses the store logs its warnings once
     end_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's interrupt is for the process that waits for this one
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # only the waiting parent process handles Ctrl-C
     if asked.background:
         os.nice(LOWEST_PRIORITY)
     try:
@@ -60,17 +71,18 @@ def main(argv: Sequence[str] | None = None) -> None:
                 print(0, len(tasks), asked.products[min(task.rank for task in tasks)], flush=True)
             for done, task in enumerate(compile_tasks(tasks, asked.processes), 1):
                 print(done, len(tasks), asked.products[task.rank], flush=True)
-    except BrokenPipeError:  # whoever waited has ended
+    except BrokenPipeError:  # the parent process has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except OSError:  # the store cannot be written: whoever calls a loop compiles it, and tells why
+    except OSError:  # the store is not writable: the caller of a loop compiles it and logs the reason
         return
 
 
 @contextmanager
 def _one_at_a_time(background: bool) -> Iterator[None]:
-    """Wait while another process compiles for somebody who waits: it may compile the same. Background work has a lock of its own.
+    """Hold the lock of foreground or background compilation.
 
-    Raises ``OSError`` where the store cannot be written.
+    Another foreground process may be compiling the same loops, so this one waits for it. Background work uses its own lock.
+    Raises ``OSError`` if the store is not writable.
     """
     folder = loop_store().folder
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -81,14 +93,14 @@ def _one_at_a_time(background: bool) -> Iterator[None]:
 
 
 def missing_tasks(products: Sequence[str]) -> list[Task]:
-    """Return the loops of some products that are not stored."""
+    """Return the loops of some products that the store lacks."""
     return [task for task, name in named_tasks(products) if not loop_store().has(name)]
 
 
 def named_tasks(products: Sequence[str]) -> Iterator[tuple[Task, str]]:
-    """Yield the loops of some products with the names of their entries.
+    """Yield the loops of some products with the names of their cache entries.
 
-    What the list of loops names and is no longer there is left out, and so is a loop that cannot be stored.
+    Recorded loops that no longer exist are left out, and so are loops that cannot be stored.
     """
     for each in recorded_signatures(products):
         try:
@@ -103,7 +115,7 @@ def named_tasks(products: Sequence[str]) -> Iterator[tuple[Task, str]]:
 
 
 def compile_tasks(tasks: Sequence[Task], processes: int) -> Iterator[Task]:
-    """Compile loops in forked processes, callees before their callers; yield each when it is done."""
+    """Compile loops in forked workers, callees before their callers. Yield each task when it is done."""
     queue = _Queue(tasks)
     children = _fork(tasks, min(processes, len(tasks)))
     busy: dict[Connection, int] = {}
@@ -113,7 +125,7 @@ def compile_tasks(tasks: Sequence[Task], processes: int) -> Iterator[Task]:
             if number is None:
                 break
             busy[pipe] = number
-            with suppress(OSError):  # it was killed, which is heard below
+            with suppress(OSError):  # the worker was killed; ``recv`` below detects it
                 pipe.send(number)
         for pipe in [pipe for pipe in wait(list(busy)) if isinstance(pipe, Connection)]:
             number = busy.pop(pipe)
@@ -121,14 +133,14 @@ def compile_tasks(tasks: Sequence[Task], processes: int) -> Iterator[Task]:
                 pipe.recv()
             except (EOFError, OSError):
                 children.remove(pipe)
-                print(f"skugga: a process that compiles loops for {loop_store().folder} was killed", file=sys.stderr)
+                print(f"skugga: {loop_store().folder}: a worker that compiles loops was killed.", file=sys.stderr)
             queue.finish(number)
             yield tasks[number]
 
 
 def _fork(tasks: Sequence[Task], count: int) -> list[Connection]:
-    """Fork children that compile; return the pipes to them. They end when their pipes are closed."""
-    gc.disable()  # a tenth of the time of compiling; the children live as long as that
+    """Fork workers that compile. Return the pipes to them; a worker ends when its pipe is closed."""
+    gc.disable()  # collection takes a tenth of the compile time, and workers are short-lived
     gc.freeze()
     fork = get_context("fork")
     pipes: list[Connection] = []
@@ -141,7 +153,7 @@ def _fork(tasks: Sequence[Task], count: int) -> list[Connection]:
 
 
 class _Queue:
-    """Tasks whose callees are done: of the first product those with the longest chain of callers first."""
+    """Priority queue of the tasks whose callees are done: by product, then by the longest chain of callers."""
 
     def __init__(self, tasks: Sequence[Task]) -> None:
         callees = callees_of([task.loop for task in tasks])
@@ -164,21 +176,24 @@ class _Queue:
 
     @property
     def is_active(self) -> bool:
-        """Whether a task is left or on its way."""
+        """Whether any task is queued or running."""
         return self._sorter.is_active()
 
     def take(self) -> int | None:
-        """Return the next task; ``None`` where all that is left waits for its callees."""
+        """Return the number of the next task, or ``None`` if all remaining tasks wait for their callees."""
         self._ready = sorted([*self._ready, *self._sorter.get_ready()], key=self._urgency)
         return self._ready.pop() if self._ready else None
 
     def finish(self, number: int) -> None:
-        """Let the callers of a task go on."""
+        """Mark a task as done, which makes its callers ready."""
         self._sorter.done(number)
 
 
 def _compile_until_closed(pipe: Connection, tasks: Sequence[Task], foreign: Sequence[Connection]) -> None:
-    """Compile the tasks whose numbers come from a pipe. ``foreign`` ends of pipes are inherited, and would hold them open."""
+    """Compile the tasks whose numbers arrive on a pipe, until it is closed.
+
+    ``foreign`` are the inherited ends of the other pipes. They are closed here, since they would keep those pipes open.
+    """
     end_with_parent()
     for end in foreign:
         end.close()
@@ -190,22 +205,22 @@ def _compile_until_closed(pipe: Connection, tasks: Sequence[Task], foreign: Sequ
         loop, args, _ = tasks[number]
         try:
             loop.compile(args)
-        except Exception as error:  # numba raises many kinds; a list that is behind: the loop takes other arguments now
+        except Exception as error:  # numba raises many types, for example if the recorded signature is out of date
             why = str(error).partition("\n")[0]
-            print(f"skugga: {loop.py_func.__module__}.{loop.py_func.__name__} is not compiled ahead: {why}", file=sys.stderr)
+            print(f"skugga: {loop.py_func.__module__}.{loop.py_func.__name__}: cannot be compiled ahead: {why}", file=sys.stderr)
         try:
             pipe.send(number)
-        except OSError:  # whoever waited was killed
+        except OSError:  # the parent process was killed
             return
 
 
 def callees_of(loops: Iterable[Any]) -> dict[Any, set[Any]]:
-    """Return the loops that each loop calls, and those that they call, for all loops that are met."""
+    """Return the direct and indirect callees of each loop, and of every loop among these callees."""
     found: dict[Any, set[Any]] = {}
 
     def look(loop: Any) -> set[Any]:
         if loop not in found:
-            found[loop] = set()  # a loop that calls itself
+            found[loop] = set()  # ends the recursion of a loop that calls itself
             function = loop.py_func
             cells = [cell.cell_contents for cell in function.__closure__ or ()]
             values = [*cells, *(function.__globals__.get(name) for name in _names(function.__code__))]
@@ -227,7 +242,7 @@ def _names(code: CodeType) -> Iterator[str]:
 
 
 def _code_bytes(loop: Any) -> int:
-    """Return the bytes of a loop's code: some measure of the time that compiling it takes."""
+    """Return the size of a loop's bytecode, a rough estimate of its compile time."""
     return len(loop.py_func.__code__.co_code)
 
 

@@ -1,4 +1,4 @@
-"""What a process does when it meets a loop that is stored nowhere. Imports no numba, so that light commands may set it."""
+"""Hooks for loops that the cache lacks. Imports no numba, so that commands with a fast start may register them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 Compile = Callable[[Sequence[str]], None]
-"""Compiles all that some products need."""
+"""Callback that compiles all loops that some products need."""
 
 _compilers: list[Compile] = []
 _needed: list[str] = []
@@ -15,16 +15,19 @@ _is_ahead = True
 
 
 def need(product: str) -> None:
-    """Declare what is being made (one of ``ahead.PRODUCTS``): if a loop is missing, all loops of it are compiled together."""
+    """Declare a product (one of ``ahead.PRODUCTS``) that this process computes.
+
+    If a loop is missing, all missing loops of the declared products are compiled together.
+    """
     if product not in _needed:
         _needed.append(product)
 
 
 @contextmanager
 def compiled_by(compile_products: Compile) -> Iterator[None]:
-    """Within the block, call a function with the products that are needed when a loop is first found missing.
+    """Within the block, call a function with the needed products on the first missing loop.
 
-    It is called again only when other products are needed. Loops that are missing after that are compiled one by one.
+    The function is called again only after further products were declared. Other missing loops are compiled one by one.
     """
     _compilers.append(compile_products)
     try:
@@ -34,13 +37,13 @@ def compiled_by(compile_products: Compile) -> Iterator[None]:
 
 
 def compile_when_called() -> None:
-    """From now on compile each loop in this process when it is called, whatever product is needed."""
+    """From now on compile each loop in this process on its first call, regardless of the needed products."""
     global _is_ahead
     _is_ahead = False
 
 
 def report_missing_loop() -> bool:
-    """Compile the products that are needed; return whether any was, so that the loop may be stored by now."""
+    """Compile the needed products that are not compiled yet. Return whether there were any: if so, the loop may now be stored."""
     products = [product for product in _needed if product not in _compiled]
     if not products or not _compilers or not _is_ahead:
         return False

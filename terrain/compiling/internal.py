@@ -1,7 +1,7 @@
-"""Loops that only other compiled loops call: they are compiled as a part of their callers, and nothing else is made of them.
+"""Internal loops: compiled functions that only other compiled loops call. They are compiled as part of their callers only.
 
-Numba optimises each loop by itself, makes machine code of it and wraps that for Python and for C, and then does it all again for
-each loop that calls it. An internal loop is optimised as a part of its callers alone.
+Numba optimises each loop separately, generates its machine code and wraps that for Python and C. It then repeats all this for each
+loop that calls it. An internal loop is optimised as part of its callers only, which saves the first pass.
 """
 
 from __future__ import annotations
@@ -13,29 +13,29 @@ from numba.core.compiler import Compiler
 
 
 def hide_from_python(loop: Any) -> None:
-    """Let calls of a loop from Python raise ``TypeError``: it has no entry for them, and one would crash."""
+    """Make calls of a loop from Python raise ``TypeError``. The loop has no entry point for Python, so a call would crash."""
     loop._insert = _keep_from_python
     loop._compile_for_args = _refuse
 
 
 def _keep_from_python(*signature: object, **options: object) -> None:
-    """Stand for what would put a compiled loop where a call of Python finds it."""
+    """Replace the method that registers a compiled signature for calls from Python. Do nothing."""
 
 
 def _refuse(*args: object, **keywords: object) -> NoReturn:
-    """Stand for what a call of Python does that finds no compiled loop."""
-    raise TypeError("an internal loop can be called by compiled loops alone")
+    """Replace the method that handles a call from Python without a compiled signature. Raise ``TypeError``."""
+    raise TypeError("an internal loop can be called by compiled loops only")
 
 
 class _NoEnvironment:
-    """Takes the environment of a loop, which only its wrapper for Python would read."""
+    """Code generator that discards the environment of a loop, which only the wrapper for Python reads."""
 
     def set_env(self, name: str, environment: object) -> None:
-        """Drop it."""
+        """Discard the environment."""
 
 
 class _LinkedLibrary(JITCodeLibrary):
-    """Code that is linked into other libraries, which optimise it and make machine code of it."""
+    """Code that is linked into other libraries. These optimise it and generate its machine code."""
 
     @property
     def codegen(self) -> Any:
@@ -45,7 +45,7 @@ class _LinkedLibrary(JITCodeLibrary):
         return 0
 
     def _optimize_final_module(self) -> None:
-        """Leave that to the libraries that this one is linked into."""
+        """Do nothing: the libraries that this one is linked into optimise it."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
@@ -53,7 +53,7 @@ class _LinkedLibrary(JITCodeLibrary):
 
 
 class InternalCompiler(Compiler):
-    """Numba's compiler, writing to a ``_LinkedLibrary``."""
+    """Numba's compiler with a ``_LinkedLibrary`` as its output."""
 
     def define_pipelines(self) -> Any:
         name = self.state.func_id.func_qualname

@@ -1,4 +1,4 @@
-"""Numba's cache of one compiled loop, on the store: entries are named by the digest of all that their machine code depends on."""
+"""Numba cache of one compiled loop, backed by the store. The cache key is a digest of all inputs of the machine code."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from skugga.terrain.compiling.hooks import report_missing_loop
 from skugga.terrain.compiling.store import LoopStore, default_store
 
 ENTRY_FORMAT = 1
-"""Version of what an entry holds."""
+"""Version of the format of cache entries."""
 
 OPTIONS = (
     "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "DISABLE_INTEL_SVML", "ENABLE_AVX", "LLVM_REFPRUNE_PASS", "LLVM_REFPRUNE_FLAGS",
     "LOOP_VECTORIZE", "OPT", "SLP_VECTORIZE",
 )  # fmt: skip
-"""Settings of numba that change machine code."""
+"""Numba settings that affect the machine code."""
 
 NAME_LENGTH = 40
-"""Characters of a loop's own name in the name of its entry, for people who look at the folder."""
+"""Number of characters of the loop's name in the name of its entry. The name helps people who inspect the folder."""
 
 Loop = Any
-"""A dispatcher of numba, whose stubs lack most of what is used here; so do those of its compile results."""
+"""A numba dispatcher. Numba's stubs lack most attributes of dispatchers and of compile results."""
 
 log = logging.getLogger("skugga")
 
@@ -50,13 +50,13 @@ _store: list[LoopStore] = []
 _mixed: set[Loop] = set()
 
 recorders: list[Callable[[Loop, tuple[Type, ...]], None]] = []
-"""Functions that are called with each loop that was compiled in this process, and the types of its arguments."""
+"""Callbacks for each loop that this process compiles: called with the loop and the types of its arguments."""
 
 _lock = threading.RLock()
 
 
 def loop_store() -> LoopStore:
-    """Return the store of this process."""
+    """Return the store that this process uses."""
     if not _store:
         _store.append(default_store())
     return _store[0]
@@ -65,16 +65,16 @@ def loop_store() -> LoopStore:
 class LoopCache(_Cache):
     """The cache of a dispatcher.
 
-    The digest of a loop is computed when the loop is first compiled or read, and stays. A loop that would have another digest later
-    (a test replaced a global, say) is compiled without the store from then on, and so are the loops that call it: the machine code
-    of this process may then mix values of two times.
+    The digest of a loop is computed when the loop is first compiled or read, and does not change after that. Suppose that a later
+    computation gives another digest, for example because a test replaced a global. From then on the loop and its callers are
+    compiled without the store, since the machine code of this process may mix old and new values.
 
     Parameters
     ----------
     dispatcher
         The loop.
     is_stored
-        Whether its machine code is stored. That of an internal loop is part of its callers'; its digest is part of theirs.
+        Whether its machine code is stored. An internal loop is not stored: its code and its digest are part of its callers'.
     """
 
     def __init__(self, dispatcher: Loop, is_stored: bool = True) -> None:
@@ -88,15 +88,15 @@ class LoopCache(_Cache):
         return str(loop_store().folder)
 
     def enable(self) -> None:
-        """Use the store."""
+        """Enable the store."""
         self._enabled = True
 
     def disable(self) -> None:
-        """Compile without the store."""
+        """Disable the store."""
         self._enabled = False
 
     def flush(self) -> None:
-        """Do nothing: entries are named by content, and none can be stale."""
+        """Do nothing: the cache key covers the content, so no entry can be stale."""
 
     def digest(self) -> str:
         """Return the digest of the loop and of all loops that it calls.
@@ -104,30 +104,30 @@ class LoopCache(_Cache):
         Raises
         ------
         UnknownValueError
-            Where the loop, or one that it calls, reads a value that has no digest, or where its values have changed.
+            If the loop or one of its callees reads a value that has no digest, or a value that has changed.
         """
         with _lock:
             return _digest_of(self._dispatcher, ())
 
     def entry_name(self, args: tuple[Type, ...], target: Hashable) -> str | None:
-        """Return the name of the entry of a signature; ``None`` where the loop cannot be stored."""
+        """Return the name of the cache entry of a signature, or ``None`` if the loop cannot be stored."""
         try:
             own = self.digest()
         except UnknownValueError as error:
-            log.debug("%s is not stored: it reads %s", self._dispatcher, error)
+            log.debug("%s: cannot be stored: it reads %s", self._dispatcher, error)
             return None
         readable = re.sub(r"\W", "", self._dispatcher.py_func.__name__)[:NAME_LENGTH]
         return f"{readable}-{digest((_engine(target), own, describe_types(args)))[:40]}"
 
     def load_overload(self, sig: Any, target_context: Any) -> Any | None:
-        """Return the stored machine code of a signature; ``None`` where there is none."""
+        """Return the stored machine code of a signature, or ``None`` on a cache miss."""
         args = _normalized(sig)[0]
         if not self._enabled:
             with suppress(UnknownValueError):
-                self.digest()  # what it is compiled with: callers that are compiled later hold the same
+                self.digest()  # fix the digest now: callers that are compiled later include the same values
             return None
         found = self._read(args, target_context)
-        if found is None and report_missing_loop():  # what was called may have compiled it in another process
+        if found is None and report_missing_loop():  # the hook may have compiled it in another process
             found = self._read(args, target_context)
         return found
 
@@ -143,7 +143,7 @@ class LoopCache(_Cache):
         name = self.entry_name(args, data.codegen.magic_tuple())
         if name is not None:
             library, description, environment, *rest = data._reduce()
-            rest[3] = ""  # annotated source, which nothing here shows
+            rest[3] = ""  # annotated source, unused
             loop_store().write(name, _dumps((library, description, environment, *rest)))
 
     def _read(self, args: tuple[Type, ...], target_context: Any) -> Any | None:
@@ -151,17 +151,20 @@ class LoopCache(_Cache):
         content = None if name is None else loop_store().read(name)
         if content is None:
             return None
-        # Numba refreshes the whole context here, which takes half a second and serves compiling alone.
+        # Numba would refresh the whole context here. That takes half a second and only compiling needs it.
         rtsys.initialize(target_context)
         try:
             return _rebuild(target_context, *pickle.loads(content))
         except (AttributeError, ImportError, EOFError, pickle.UnpicklingError, TypeError) as error:
-            log.warning("%s: entry %s cannot be used, and is compiled again: %s", loop_store().folder, name, error)
+            log.warning("%s: entry %s cannot be loaded (%s). Its loop is compiled again.", loop_store().folder, name, error)
             return None
 
 
 def _digest_of(dispatcher: Loop, callers: tuple[Loop, ...]) -> str:
-    """Return the digest of a loop that ``callers`` call, one another; a loop that calls itself is named there by its place."""
+    """Return the digest of a loop that is reached through a chain of ``callers``.
+
+    A recursive call is described by its position in the chain.
+    """
     if dispatcher in callers:
         return f"caller {callers[::-1].index(dispatcher)}"
     cache = dispatcher._cache
@@ -181,7 +184,7 @@ def _digest_of(dispatcher: Loop, callers: tuple[Loop, ...]) -> str:
 
 
 def _engine(target: Hashable) -> Hashable:
-    """What the machine code of every loop depends on: versions, the processor, settings."""
+    """Return the inputs that the machine code of every loop depends on: versions, the processor, settings."""
     return (
         ENTRY_FORMAT, sys.implementation.cache_tag, numba.__version__, llvmlite.__version__, np.__version__.split(".")[:2], target,
         tuple((name, repr(getattr(config, name, None))) for name in OPTIONS),

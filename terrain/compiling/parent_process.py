@@ -1,4 +1,4 @@
-"""How a process ends with the one that started it. Where the system has no ``prctl`` (not on Linux), its pipe alone ends it."""
+"""End a process together with its parent. Systems without ``prctl`` (other than Linux) rely on the closed pipe instead."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import sys
 from contextlib import suppress
 
 PR_SET_PDEATHSIG = 1
-"""See prctl(2): the signal that a process gets when the one that started it ends."""
+"""Option of prctl(2): the signal that a process receives when its parent ends."""
 
 
 def end_with_parent() -> None:
-    """Let the system kill this process as soon as its parent ends, however that ends, and whatever this one is doing then."""
+    """Make the kernel kill this process as soon as its parent ends, for whatever reason. Do nothing except on Linux."""
     if sys.platform != "linux":
         return
     with suppress(OSError, AttributeError):

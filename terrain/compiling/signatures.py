@@ -1,7 +1,7 @@
-"""The list of compiled loops that each product needs, with the types that they are called with.
+"""Recorded signatures: the compiled loops that each product needs, with their argument types.
 
-``signatures.json`` is recorded by ``scripts/record_signatures.py``. It says what may be compiled before it is called. A loop or
-a type that it lacks is compiled when it is called, so a list that is behind costs time and nothing else.
+``scripts/record_signatures.py`` records ``signatures.json``. The file lists the loops that can be compiled ahead of time. A loop or
+signature that it lacks is compiled on its first call, so an outdated list costs only time.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 import numba.core.types
 
-types: Any = numba.core.types  # its stubs lack most of what is used here
+types: Any = numba.core.types  # its stubs lack most names used here
 
 PATH = Path(__file__).with_name("signatures.json")
 
@@ -29,11 +29,11 @@ class Signature:
     Attributes
     ----------
     loop : str
-        Module and name, as ``skugga.terrain.ground.surface:height_at``.
+        Module and name, for example ``skugga.terrain.ground.surface:height_at``.
     args : str
         Types of the arguments, encoded as JSON.
     products : tuple of str
-        Products that need it.
+        Products that need the loop.
     """
 
     loop: str
@@ -41,17 +41,17 @@ class Signature:
     products: tuple[str, ...]
 
     def dispatcher(self) -> Any:
-        """Return the loop. Raises ``ImportError`` or ``AttributeError`` where it is no longer there."""
+        """Return the loop. Raises ``ImportError`` or ``AttributeError`` if it no longer exists."""
         module, _, name = self.loop.partition(":")
         return getattr(importlib.import_module(module), name)
 
     def argument_types(self) -> tuple[Any, ...]:
-        """Return the types. Raises ``ImportError`` or ``AttributeError`` where a named tuple is no longer there."""
+        """Return the argument types. Raises ``ImportError`` or ``AttributeError`` if a named tuple no longer exists."""
         return tuple(map(decode_type, json.loads(self.args)))
 
 
 def recorded_signatures(products: Iterable[str] | None = None) -> list[Signature]:
-    """Return the recorded signatures that some products need; all of them by default."""
+    """Return the recorded signatures that some products need, by default all recorded signatures."""
     if not PATH.is_file():
         return []
     rows = json.loads(PATH.read_text(encoding="utf-8"))
@@ -61,7 +61,7 @@ def recorded_signatures(products: Iterable[str] | None = None) -> list[Signature
 
 
 def encode_type(numba_type: Any) -> Encoded:
-    """Encode a type as JSON. Raises ``ValueError`` for a kind of type that loops are not called with."""
+    """Encode a numba type as JSON. Raises ``ValueError`` for an unsupported type."""
     match numba_type:
         case types.Array():
             flags = (["readonly"] if not numba_type.mutable else []) + (["unaligned"] if not numba_type.aligned else [])
@@ -79,11 +79,11 @@ def encode_type(numba_type: Any) -> Encoded:
             return ["literal", numba_type.literal_value]
         case types.Number() | types.Boolean() | types.NoneType():
             return str(numba_type.name)
-    raise ValueError(f"a loop is called with the type {numba_type}, which cannot be recorded")
+    raise ValueError(f"argument type: {numba_type} cannot be encoded")
 
 
 def decode_type(encoded: Encoded) -> Any:
-    """Return the type that was encoded."""
+    """Return the numba type that ``encode_type`` encoded. Raises ``ValueError`` for an unknown kind."""
     if isinstance(encoded, str):
         return types.boolean if encoded == "bool" else getattr(types, encoded)
     kind, *parts = encoded
@@ -102,4 +102,4 @@ def decode_type(encoded: Encoded) -> Any:
             return types.Optional(decode_type(parts[0]))
         case "literal":
             return types.literal(parts[0])
-    raise ValueError(f"unknown kind of type: {kind}")
+    raise ValueError(f"argument type: unknown kind {kind!r}")

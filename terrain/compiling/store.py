@@ -1,7 +1,7 @@
-"""Where compiled loops are stored: one file for each loop and signature, named by the digest of all that it depends on.
+"""Content-addressed store of compiled loops: one file for each loop and signature, named by a digest of all its inputs.
 
-A name determines its content, so there is no index that could be stale, and processes that write at the same time lose nothing.
-Files lie in the user's cache, over a folder that may come with the installation and is only read.
+The name determines the content. The store therefore needs no index, and concurrent writers do not conflict. Files are in the user's
+cache folder. A bundled read-only folder, if the installation has one, is searched first.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from skugga.terrain.compiling.bundle import FOLDER
 from skugga.terrain.user_cache import user_cache
 
 FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
-"""Environment variable that names another folder than the user's cache."""
+"""Environment variable that overrides the folder in the user's cache."""
 
 SUFFIX = ".loop"
 
 MAX_BYTES = 256 * 2**20
-"""Size of the user's folder. All loops of one version take 10 MB."""
+"""Maximum size of the writable folder. All loops of one version take 10 MB."""
 
 EVICTED_TO = 0.75
-"""Share of ``MAX_BYTES`` that an eviction leaves, so that not every write evicts."""
+"""Fraction of ``MAX_BYTES`` that an eviction leaves, so that not every write evicts."""
 
 SCAN_EVERY_BYTES = 8 * 2**20
-"""Bytes that a process writes before it looks again how large the folder is."""
+"""Number of bytes that a process writes between two checks of the folder's size."""
 
 TOUCH_AFTER_S = 86_400.0
-"""Age at which reading an entry renews its time of last use."""
+"""Age of an entry's time stamp after which a read renews it. The time stamp is the time of last use."""
 
 PARTIAL_AGE_S = 3600.0
-"""Age at which a partial file counts as left by a process that was killed."""
+"""Age after which a partial file is treated as left behind by a killed process."""
 
 _MAGIC = b"skugga-loop-1\n"
 _DIGEST_BYTES = 32
@@ -51,23 +51,23 @@ class LoopStore:
     Parameters
     ----------
     folder
-        Folder that is read and written. It is created with mode 0700 by the first write.
+        Folder for reading and writing. The first write creates it with mode 0700.
     bundled
-        Folder that is only read, first; ``None`` where the installation has none.
+        Read-only folder that is searched first, or ``None`` if the installation has none.
 
     Attributes
     ----------
     problem : str or None
-        Why entries cannot be stored or read, as a sentence that names the folder; ``None`` while nothing is wrong.
+        Why entries cannot be stored or read, as a sentence that names the folder. ``None`` while no problem has occurred.
     """
 
     def __init__(self, folder: Path, bundled: Path | None = None) -> None:
         self.folder, self.bundled = folder, bundled
         self.problem: str | None = None
-        self._unscanned_bytes = SCAN_EVERY_BYTES  # the first write looks
+        self._unscanned_bytes = SCAN_EVERY_BYTES  # the first write checks the size
 
     def read(self, name: str) -> bytes | None:
-        """Return the content of an entry; ``None`` where it is absent, damaged or not to be trusted."""
+        """Return the content of an entry, or ``None`` if it is missing, corrupt or untrusted."""
         if self.bundled is not None and (content := _content(self.bundled / (name + SUFFIX))) is not None:
             return content
         path = self.folder / (name + SUFFIX)
@@ -75,7 +75,7 @@ class LoopStore:
             with path.open("rb") as file:
                 state = os.fstat(file.fileno())
                 if not _is_trusted(state):
-                    self._warn(f"{path} belongs to another user or may be written by one, and is not read")
+                    self._warn(f"{path} is ignored, since another user owns it or may write it")
                     return None
                 entry = file.read()
         except FileNotFoundError:
@@ -85,7 +85,7 @@ class LoopStore:
             return None
         content = _verified(entry)
         if content is None:
-            self._warn(f"{path} is damaged; its loop is compiled again")
+            self._warn(f"{path} is damaged, so its loop is compiled again")
             return None
         if time.time() - state.st_mtime > TOUCH_AFTER_S:
             with suppress(OSError):
@@ -93,7 +93,7 @@ class LoopStore:
         return content
 
     def write(self, name: str, content: bytes) -> None:
-        """Store an entry. A folder that cannot be written is told once, and is no error."""
+        """Store an entry atomically. A folder that is not writable is logged once and raises no error."""
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             number, partial = tempfile.mkstemp(prefix=".partial-", dir=self.folder)
@@ -110,19 +110,19 @@ class LoopStore:
                 self._unscanned_bytes = 0
                 self._evict()
         except OSError as error:
-            self._warn(f"{self.folder} cannot be written ({error.strerror}), so every process compiles its loops anew")
+            self._warn(f"{self.folder} cannot be written ({error.strerror}), so every process compiles its loops again")
 
     def has(self, name: str) -> bool:
-        """Whether there is a file for an entry; it may turn out to be damaged."""
+        """Return whether an entry has a file. The file may turn out to be corrupt."""
         folders = (self.folder,) if self.bundled is None else (self.bundled, self.folder)
         return any((folder / (name + SUFFIX)).is_file() for folder in folders)
 
     def _evict(self) -> None:
-        """Remove the least recently used entries beyond ``MAX_BYTES``, and partial files of killed processes."""
+        """Evict the least recently used entries beyond ``MAX_BYTES``, and remove partial files of killed processes."""
         with (self.folder / ".lock").open("a") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:  # another process evicts now, or the file system knows no locks
+            except OSError:  # another process is evicting, or the file system has no locks
                 return
             now, entries = time.time(), []
             for file in os.scandir(self.folder):
@@ -144,18 +144,21 @@ class LoopStore:
 
     def _warn(self, problem: str) -> None:
         if self.problem is None:
-            self.problem = f"compiled loops: {problem}. {FOLDER_VARIABLE} names another folder"
+            self.problem = f"compiled loops: {problem}. Set {FOLDER_VARIABLE} to another folder"
             log.warning("%s", self.problem)
 
 
 def default_store() -> LoopStore:
-    """Return this user's store: the folder that ``NUMBA_CACHE_DIR`` names, else the user's cache, over the installation's own."""
+    """Return this user's store.
+
+    Its folder is ``NUMBA_CACHE_DIR`` if that is set, otherwise the user's cache. The bundled folder is searched first.
+    """
     named = os.environ.get(FOLDER_VARIABLE)
     return LoopStore(Path(named) if named else user_cache("loops"), FOLDER if FOLDER.is_dir() else None)
 
 
 def _is_trusted(state: os.stat_result) -> bool:
-    """Whether nobody but this user and the system's administrator may have written a file: its content is run."""
+    """Return whether only this user or root can have written a file. Its content is executed, so others are not trusted."""
     return state.st_uid in (os.geteuid(), 0) and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
@@ -167,7 +170,7 @@ def _content(path: Path) -> bytes | None:
 
 
 def _verified(entry: bytes) -> bytes | None:
-    """The content of an entry's bytes; ``None`` where they are not what was written."""
+    """Return the content of an entry after checking its checksum, or ``None`` if the entry is corrupt."""
     start = len(_MAGIC) + _DIGEST_BYTES
     if not entry.startswith(_MAGIC) or hashlib.sha256(entry[start:]).digest() != entry[len(_MAGIC) : start]:
         return None

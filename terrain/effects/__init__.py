@@ -1,6 +1,7 @@
-"""Effects: one file each, with the predicate that says whether a scene calls for it, and why (or why not), and its part.
+"""Effects: one module each, with the predicate that decides whether a scene needs the effect, and the function that renders it.
 
-``skugga.terrain.level.level.EffectName`` lists them, in the order in which those of one stage run; the file has the effect's name.
+``skugga.terrain.level.level.EffectName`` lists the effects in the order in which those of one stage run. Each module is named after
+its effect.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ EFFECTS: dict[EffectName, Effect] = {
 """All effects by name."""
 
 SWITCHES: dict[EffectName, str] = {
-    "refraction": "the sun of a frame stands where it is seen, not where it is (shadows/visibility.py)",
-    "cast_shadows": "algorithms fill the lights' visibility at all (selector/planner/planner.py)",
-    "alpha_test": "forest is among the kinds of casters that algorithms are given (selector/planner/planner.py)",
-    "soft_edges": "a filter that is left open takes three taps a side, not one (selector/planner/planner.py)",
-    "outside_casters": "ground beyond a map's block is looked for and casts into it (shadows/passes.py)",
+    "refraction": "the sun of a frame is at its apparent position, not at its true position (shadows/visibility.py)",
+    "cast_shadows": "algorithms compute the visibility of the lights (selector/planner/planner.py)",
+    "alpha_test": "forest is one of the kinds of casters that algorithms draw (selector/planner/planner.py)",
+    "soft_edges": "an unset filter takes three taps per side instead of one (selector/planner/planner.py)",
+    "outside_casters": "ground beyond a map's block casts shadows into it (shadows/passes.py)",
 }
-"""Effects without a part of their own: switches of the pipeline, each with what it switches, and where. They are planned, forced
-and told like all others; what they do is done by the code that is named here.
+"""Switches of the pipeline: effects without a rendering function, with the behaviour that each switches and its source file.
+
+They are planned, forced and reported like all other effects.
 """

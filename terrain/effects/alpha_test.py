@@ -1,6 +1,6 @@
-"""Alpha-tested casters: trees whose leaves let light through between them, looked up texel by texel where depth is drawn.
+"""Alpha-tested casters: light passes between the leaves of trees, since depth passes sample the alpha of the foliage texture.
 
-Left out, no depth program holds a texture look-up at all.
+Without this effect the depth shaders contain no texture look-up at all.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from skugga.terrain.scene import Scene
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out without foliage, where its trees are too small to be drawn, and where no shadow of it can fall on what is seen."""
+    """Return the verdict. It is no without foliage, if all trees are too small to draw, or if no foliage shadow can be visible."""
     if "forest" not in descriptor.casters:
         return Verdict(False, "there is no foliage")
     if not descriptor.facts.get("alpha_test", {}).get("drawn", True):
@@ -30,7 +30,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """``drawn``: whether any tree is left of those that are thinned out as they get small."""
+    """Return the fact ``drawn``: whether the view still draws any tree after it decimates small ones."""
     if scene.objects.trees is None:
         return {}
     drawn = drawn_view(scene, view)

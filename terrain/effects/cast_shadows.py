@@ -1,12 +1,17 @@
-"""Cast shadows: where direct light reaches the view, and something can stand in its way.
+"""Cast shadows: needed if direct light reaches the view and an occluder can block it.
 
-**Relief.** A ray from ground to the sun that meets ground again has on its way ground that falls away from the sun more steeply
-than the ray rises: a facet that does not face the sun. So where every facet of the ground faces the sun, none is shadowed; and
-where none does, all of it is turned away, and nothing that is cast would show. Both are read from the facets as they are drawn,
-once per ground and zoom: with the slopes (a, b) that a facet's normal (-a, -b, 1) has at the level's anchor, it faces the sun
-(e, n, u) if u > a e + b n. Of all facets only how far the slopes reach in ``DIRECTIONS`` directions is kept.
+**Relief.** Suppose that a ray from the ground to the sun hits ground again. Then it passes a facet that does not face the sun:
+there the ground falls away from the sun more steeply than the ray rises. It follows that
 
-**What stands on the ground** can shade anything in a map; in a perspective view, if in light space it overlaps what is seen.
+- if every facet of the ground faces the sun, no ground is in cast shadow;
+- if no facet faces the sun, all ground is unlit anyway, and no cast shadow is visible.
+
+Both conditions are evaluated on the facets as drawn, once for each ground and zoom. A facet with the normal (-a, -b, 1) has the
+slopes (a, b) at the level's anchor. It faces the sun (e, n, u) if u > a e + b n. For all facets only the extent of the slopes in
+``DIRECTIONS`` directions is stored.
+
+**Objects on the ground** can shade any point of a map. In a perspective view they can cast a visible shadow only if they overlap
+visible surfaces in light space.
 """
 
 from __future__ import annotations
@@ -31,25 +36,27 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
 COARSE_NODES = 2**18
-"""Nodes of the coarse ground that is tried first: where it casts, the finer one does."""
+"""Maximum number of nodes of the coarse ground that is tested first. If it casts shadows, finer ground does too."""
 
 MOST_NODES = 2**21
-"""Ground of more nodes is not searched facet by facet (that takes about 0.3 s a million): it may cast."""
+"""Ground with more nodes is not tested facet by facet (about 0.3 s per million) and counts as possible caster."""
 
 MAX_TREES_TESTED = 2000
-"""More trees than these in the way, or in view, are not looked at one by one: some of them do shade something."""
+"""More trees than these are not tested one by one: if so many are in view or towards the light, some of them cast shadows."""
 
 MASK_CELLS = 128
-"""Cells a side in which what is seen is held against what stands before it."""
+"""Number of cells along each side of the depth grid in which visible points are compared with possible occluders."""
 
 DISC_GRAZING = float(np.sin(np.radians(SUN_RADIUS_DEG))) + 1e-4
-"""A facet's plane passes this near to the middle of the sun if it cuts the disc, or if float32 normals do not tell: the sine of the
-angle between them, times the length of the normal (-a, -b, 1) that slopes as steep as the sun is high have.
+"""Tolerance of the test whether a facet faces the sun: the sine of the sun's angular radius, and a margin for float32 normals.
+
+A facet whose plane is closer than this to the centre of the sun may cut the disc. The value has to be multiplied by the length of
+the normal (-a, -b, 1) of a slope that is as steep as the sun is high.
 """
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out without a light, by night and under clouds without lamps, and where nothing can stand in the light's way."""
+    """Return the verdict. It is no without lights, at night or overcast without lamps, and without possible occluders."""
     sun = sun_verdict(descriptor)
     if sun.called_for:
         return sun
@@ -62,7 +69,7 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def sun_verdict(descriptor: Descriptor) -> Verdict:
-    """Whether the sun casts shadows here."""
+    """Return whether the sun can cast shadows in the view, with the reason."""
     if descriptor.highest_sun_deg is None:
         return Verdict(False, "the level has no sun")
     if descriptor.highest_sun_deg <= 0.0:
@@ -79,7 +86,7 @@ def sun_verdict(descriptor: Descriptor) -> Verdict:
 
 
 def sun_kind_verdict(descriptor: Descriptor, kind: str) -> Verdict:
-    """Whether casters of a kind can throw the sun's shadow on anything that is seen."""
+    """Return whether casters of one kind can cast the sun's shadow on a visible surface, with the reason."""
     facts = descriptor.facts.get("cast_shadows", {})
     if kind != "relief":
         if facts.get(kind, True) and (kind != "forest" or descriptor.facts.get("alpha_test", {}).get("drawn", True)):
@@ -108,13 +115,16 @@ def _grazing(altitude_deg: float) -> float:
 
 
 def can_cast(descriptor: Descriptor) -> bool:
-    """Whether anything stands on the ground or the ground has any relief."""
+    """Return whether the scene has any casters: relief, or objects on the ground."""
     return descriptor.relief_m > 0.0 or any(kind != "relief" for kind in descriptor.casters)
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """``least_slope`` and ``most_slope``: how much the sun's slope exceeds that of the ground's facets towards it, least and most
-    (``None``: not known); ``meshes`` and ``forest``: whether their shadows can fall on what a perspective view sees.
+    """Return the facts of cast shadows.
+
+    - ``least_slope``, ``most_slope``: minimum and maximum difference between the slope of the sun's rays and the slope of the
+      ground's facets towards the sun; ``None`` if unknown.
+    - ``meshes``, ``forest``: whether their shadows can fall on a visible surface of a perspective view.
     """
     if not scene.sun_is_up:
         return {}
@@ -136,7 +146,7 @@ def _slopes_under_sun(
         assert coarse_view is not None
         ground, frame = ground_mesh(scene, view), coarse_view.buffer.frame
         return above_mesh(scene.world, ground, frame, _corridor(scene, view, coarse_view), to_sun)
-    drawn = drawn_view(scene, view)  # a coarse map's shadows are those of finer ground
+    drawn = drawn_view(scene, view)  # shadows of a coarse map are computed on finer ground
     assert isinstance(drawn, MapView)
     grid = drawn.grid
     nodes = node_count(scene.world, scene.elevation, grid)
@@ -151,7 +161,7 @@ def _slopes_under_sun(
 
 @cached("scene", 256 * MIB)
 def trees_seen(objects: SceneObjects, view: PerspectiveView, coarse_view: CoarseView) -> tuple[TreeInstances | None, bool]:
-    """The trees round an eye, and whether leaves of any are in view."""
+    """Return the trees around the eye, and whether any of them may be in view."""
     stand = tree_instances_in_perspective(objects, coarse_view.buffer.frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is None:
         return None, False
@@ -162,7 +172,7 @@ def trees_seen(objects: SceneObjects, view: PerspectiveView, coarse_view: Coarse
     if not 0 < len(near) <= MAX_TREES_TESTED:
         return stand, len(near) > 0
     in_camera = (stand.some(near).outlines() - eye) @ camera_from_frame.T
-    # Outside are those that lie beyond one of the pyramid's sides as a whole.
+    # A tree is outside of the view frustum if it lies entirely beyond one of its sides.
     beyond = [
         side * (in_camera[..., k] - tangents[k, end] * in_camera[..., 2]) > 0.0
         for k in (0, 1)
@@ -173,14 +183,20 @@ def trees_seen(objects: SceneObjects, view: PerspectiveView, coarse_view: Coarse
 
 
 def _seen_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
-    """How far from each point that is looked at the picture goes on unseen, metres (n,); trees in view rise above it."""
+    """Return the radius of the unsampled surroundings of each point of a coarse view (n,), metres.
+
+    It is the spacing of the samples, plus the height of the tallest object if trees are in view.
+    """
     return coarse_view.away_m * coarse_view.spacing + (
         scene.objects.tallest_m if trees_seen(scene.objects, view, coarse_view)[1] else 0.0
     )
 
 
 def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> Corridor:
-    """What lies between what is seen and the sun, as ``above_mesh`` takes it: right of the light, and towards the sun."""
+    """Return the part of the frame between the visible points and the sun, for ``above_mesh``.
+
+    Its two coordinates are those to the right of the light and towards the sun.
+    """
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(coarse_view.buffer.frame)
     rows = np.stack([rotation[0], scene.light.towards_sun_m(rotation.T)])
@@ -195,7 +211,7 @@ def _corridor(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> C
 
 
 def _stands_before(scene: Scene, view: PerspectiveView, kind: str, coarse_view: CoarseView) -> bool:
-    """Whether trees or meshes hide, as the sun sees them, something that is seen; or are trees that are seen themselves."""
+    """Return whether trees or meshes occlude a visible surface from the sun. Trees that are in view count as occluders."""
     assert scene.light is not None
     objects, frame = scene.objects, coarse_view.buffer.frame
     if kind == "meshes":
@@ -221,14 +237,14 @@ def _stands_before(scene: Scene, view: PerspectiveView, kind: str, coarse_view: 
 
 @cached("light", 256 * MIB)
 def _boxes_of_meshes(objects: SceneObjects, light: LightSpace) -> tuple[np.ndarray, np.ndarray]:
-    """The boxes of the triangles that stand for the meshes, in light space: the same wherever an eye is."""
+    """Return the bounding boxes of the meshes' casting triangles in light space. They do not depend on the camera."""
     assert objects.solids is not None
     return _boxes(light.from_earth(objects.solids.caster_vertices_earth_m), objects.solids.caster_triangles)
 
 
 @compiled
 def _boxes(points, triangles):
-    """Least and largest coordinates (m, 3) of triangles (m, 3) of points (n, 3)."""
+    """Return the minimum and maximum coordinates (m, 3) of triangles (m, 3) with vertices (n, 3)."""
     first, last = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
     for m in range(len(triangles)):
         for k in range(3):
@@ -239,8 +255,10 @@ def _boxes(points, triangles):
 
 @compiled
 def _hide(first, last, points, slack, cells):
-    """Whether boxes (n, 3) from ``first`` to ``last`` lie before any of some points (m, 3), as the light sees them, or within its
-    slack (m,) of one: points are entered in a grid of cells with the largest depth in each.
+    """Return whether any box occludes any point, in light space.
+
+    Boxes extend from ``first`` to ``last`` (n, 3). Points (m, 3) have a tolerance ``slack`` (m,). The test draws the points into a
+    grid with the maximum depth of each cell, and compares the nearest depth of each box with it.
     """
     if len(points) == 0 or len(first) == 0:
         return False

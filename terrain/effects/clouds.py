@@ -1,8 +1,8 @@
-"""Cloud shadows: where clouds that drift with the clock keep some of the direct sun from the ground.
+"""Cloud shadows: clouds drift with time and block a part of the direct sunlight.
 
-The clouds are a layer of no thickness. A point lies under the place where its ray to the sun meets the layer, and what is there is
-fractal noise over that place in metres east and north of the anchor: the same ground is under the same cloud in every tile, view
-and frame. Clouds are no terrain: they change the colour, and no layer of visibility.
+The clouds are a layer without thickness. The shadow of a point is the cloud density at the intersection of its ray to the sun with
+the layer. The density is fractal noise over metres east and north of the anchor, so every tile, view and frame has the same cloud
+above the same ground. Clouds are not casters: they change colours but no visibility layer.
 """
 
 from __future__ import annotations
@@ -31,46 +31,48 @@ from skugga.terrain.shading import daylight_of, night_of
 from skugga.terrain.shading_loops import dusk_of
 
 LAYER_M, CLEARANCE_M = 1500.0, 500.0
-"""Height of the clouds over the level's mean ground; over its highest they are at least this high."""
+"""Height of the clouds above the level's mean ground, and their minimum height above its highest ground."""
 
 DRIFT_M_PER_S = (10.0 * np.sin(np.radians(67.5)), 10.0 * np.cos(np.radians(67.5)))
-"""East and north: 10 m/s towards the east-north-east."""
+"""East and north components: 10 m/s towards the east-north-east."""
 
 LOWEST_SINE = np.sin(np.radians(5.0))
-"""The ray to a lower sun is followed no farther than to this one: else the shadows would race as it sets."""
+"""Lower bound of the sine of the sun's altitude in the projection. Without it the shadows would race at sunset."""
 
 WIDEST_M, CLOUD_OCTAVES, CLOUD_SEED = 4000.0, 5, 71
-"""Wavelength of the coarsest octave; the finest's is 250 m."""
+"""Wavelength of the coarsest octave, number of octaves, seed. The finest octave has a wavelength of 250 m."""
 
 CLOUD_EDGE_WIDTH = 0.26
-"""Difference of the noise from a cloud's rim to where it is densest."""
+"""Difference of the noise between the edge of a cloud and its densest part."""
 
 THROUGH = 0.25
-"""Share of the direct sun that the densest cloud lets through under a broken sky."""
+"""Transmittance of the densest cloud under a broken sky."""
 
 MAX_NOISE, MAX_NOISE_SLOPE = 0.756, 2.32
-"""Bounds of the value and of the slope of ``skugga.terrain.ground.noise.noise_at``, over all its gradients."""
+"""Upper bounds of the value and of the slope of ``skugga.terrain.ground.noise.noise_at``, over all its gradients."""
 
 NOISE_BOUND = MAX_NOISE * (1.0 - OCTAVE_GAIN**CLOUD_OCTAVES) / (1.0 - OCTAVE_GAIN)
-"""Bound of the value of all octaves."""
+"""Upper bound of the sum of all octaves."""
 
 FADE = 1 / 16, 1 / 2
-"""Pixels as shares of ``WIDEST_M`` from which on single clouds begin to go over into their mean, and are all mean."""
+"""Pixel sizes, as shares of ``WIDEST_M``, between which clouds fade into their mean density."""
 
 UNSEEN = 0.008
-"""Share of the direct sun whose loss no pixel shows.
+"""Largest share of a point's light whose loss is not visible.
 
-Light that loses a share ``a`` loses ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``, of its sRGB code, which is at most 1.055 (with
-the code's own offset; less still in the linear part near black, and where the shoulder of ``skugga.terrain.shading_loops`` holds
-it). That is a step of 1/255 for ``a`` = 0.0089; the rest is left for the 4096 steps of the table that encodes.
+Light that loses a share ``a`` loses ``1 - (1 - a)**(1 / 2.4)``, about ``a / 2.4``, of its sRGB code. The code is at most 1.055 with
+its offset. It loses even less in the linear part near black, and in the shoulder of ``skugga.terrain.shading_loops``. The loss is a
+step of 1/255 for ``a`` = 0.0089. The difference to the value here allows for the 4096 steps of the encoding table.
 """
 
 SEEN_LEAST = 0.25
-"""Sky that a face turned to a sun at the horizon is lit by at least: half of it if upright, less if it hangs over, but then it is
-darker too."""
+"""Lower bound of the share of sky light on a face towards a sun at the horizon.
+
+An upright face receives half of the sky. An overhanging face receives less, but is darker, too.
+"""
 
 MAX_PLACES = 2**17
-"""Places that a search for the densest cloud looks at: what is not decided by then counts as cloud."""
+"""Maximum number of evaluations in the search for the densest cloud. An undecided search counts as full density."""
 
 
 class CloudLayer(NamedTuple):
@@ -79,17 +81,19 @@ class CloudLayer(NamedTuple):
     Attributes
     ----------
     cover
-        Share of the ground under them.
+        Share of the sky that clouds cover.
     threshold
-        Value of the noise in the middle of their edges.
+        Value of the noise in the middle of a cloud's edge.
     most
-        Share of the direct sun that the densest takes away.
+        Share of the direct sunlight that the densest cloud blocks.
     height_m
-        Height of the layer.
-    to_sun_anchor, centre_anchor_m
-        Unit vector (3,) to the sun, and the point (3,) that "up" points away from, in the anchor's axes.
+        Height of the layer, metres.
+    to_sun_anchor
+        Unit vector to the sun (3,), in the anchor's axes.
+    centre_anchor_m
+        Point (3,) from which "up" points away, in the anchor's axes, metres.
     drift_m
-        How far (2,) they have drifted east and north.
+        Drift east and north (2,), metres.
     """
 
     cover: float
@@ -102,9 +106,9 @@ class CloudLayer(NamedTuple):
 
 
 def cloud_layer_of(scene: Scene) -> CloudLayer:
-    """The clouds of a scene with a sun.
+    """Return the clouds of a scene with a sun.
 
-    The last light that comes through the densest goes as the cover nears the whole sky, so that overcast follows without a jump.
+    The transmittance of the densest cloud goes to 0 as the cover approaches 1, so that the transition to overcast is continuous.
     """
     world, cover = scene.world, scene.loaded.level.weather.cloud_cover
     anchor_from_earth = world.earth_from_anchor.T
@@ -123,7 +127,7 @@ def _mean_height_m(elevation: Elevation) -> float:
 
 
 def threshold_of(cover: float) -> float:
-    """Value that the noise exceeds on a share ``cover`` of a plane; beyond all its values where the cover is 0 or 1."""
+    """Return the value that the noise exceeds on a share ``cover`` of a plane. For 0 and 1 it lies beyond all values."""
     beyond = NOISE_BOUND + CLOUD_EDGE_WIDTH / 2.0
     shares, values = _distribution()
     return float(np.interp(cover, [0.0, *shares, 1.0], [beyond, *values, -beyond]))
@@ -131,8 +135,8 @@ def threshold_of(cover: float) -> float:
 
 @cached("process", 16 * MIB)
 def _distribution() -> tuple[np.ndarray, np.ndarray]:
-    """Shares of a plane (n,) and the values of the noise exceeded there: measured on 195 x 195 coarsest wavelengths."""
-    # The golden section shares no period with the lattice.
+    """Return shares of a plane (n,) and the noise values that are exceeded there, measured on 195 x 195 coarsest wavelengths."""
+    # Steps of the golden ratio have no common period with the lattice.
     values = np.sort(_noise_on(np.arange(256) * 0.76393202250021))[::-1]
     return (np.arange(values.size)[32::64] + 0.5) / values.size, values[32::64]
 
@@ -148,8 +152,11 @@ def _noise_on(x):
 
 @compiled
 def _noise(x_m, y_m, low, high):
-    """The octaves at a place; what the coarse ones put below ``low`` or over ``high`` for good is not worked out further."""
-    # Turned off the axes, and each octave by the angle of the 3-4-5 triangle, as in ``skugga.terrain.ground.noise``.
+    """Return the sum of the octaves at a place.
+
+    The sum stops early if the remaining octaves cannot bring it back above ``low`` or below ``high``.
+    """
+    # The lattice is rotated, and each octave again by the angle of the 3-4-5 triangle, as in ``skugga.terrain.ground.noise``.
     x, y = (0.6 * x_m - 0.8 * y_m) / WIDEST_M, (0.8 * x_m + 0.6 * y_m) / WIDEST_M
     total, amplitude = 0.0, 1.0
     for k in range(CLOUD_OCTAVES):
@@ -164,7 +171,7 @@ def _noise(x_m, y_m, low, high):
 
 @compiled
 def density_at(x_m, y_m, threshold):
-    """Share of the densest cloud at a place of the layer: 0 in gaps, 1 inside of clouds."""
+    """Return the relative cloud density at a place of the layer: 0 in gaps, 1 inside clouds."""
     return _density(_noise(x_m, y_m, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold)
 
 
@@ -175,7 +182,7 @@ def _density(noise, threshold):
 
 @internal
 def _place(x, y, z, height, layer_m, to_sun, centre, drift):
-    """Metres east and north of the anchor where the ray of a point to the sun meets the clouds, before they drifted."""
+    """Return the intersection of a point's ray to the sun with the layer: metres east and north of the anchor, minus the drift."""
     ux, uy, uz = x - centre[0], y - centre[1], z - centre[2]
     sine = (ux * to_sun[0] + uy * to_sun[1] + uz * to_sun[2]) / np.sqrt(ux * ux + uy * uy + uz * uz)
     away = (layer_m - height) / max(sine, LOWEST_SINE)
@@ -188,7 +195,7 @@ def _fade(pixel_m):
 
 
 def apply_clouds(sunlight: np.ndarray, block: ShadingBlock) -> None:
-    """Take away the share of the sun's light that clouds hold back."""
+    """Multiply the sunlight by the transmittance of the clouds."""
     buffer, scene = block.buffer, block.scene
     if scene.sun is None:
         return
@@ -221,7 +228,7 @@ def _shade_clouds(sunlight, shown, anchor_from_frame, layer, size):
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out under a clear sky and a covered one, without a sun, and where no cloud takes as much of its light as can be seen."""
+    """Return the verdict. It is no under a clear or overcast sky, without a sun, and if clouds block no visible share of light."""
     facts = descriptor.facts["clouds"]
     cover = facts["cover"]
     if cover == 0.0:
@@ -243,9 +250,11 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """``cover`` of the sky, and the largest share of its light that clouds take from a point: ``taken``, from above.
+    """Return the facts of clouds.
 
-    Of a map all the ground counts that it shows, lit or not.
+    - ``cover``: share of the sky that clouds cover.
+    - ``taken``: upper bound of the share of its light that clouds take from any point. In a map all visible ground counts, lit or
+      not.
     """
     cover = scene.loaded.level.weather.cloud_cover
     if not 0.0 < cover < 1.0 or not scene.sun_is_up:
@@ -267,10 +276,10 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 
 def _direct_share(scene: Scene) -> float:
-    """Largest share of a point's light that comes straight from the sun, in any channel.
+    """Return the maximum share of direct sunlight in the light of any point, in any channel.
 
-    The sun fades in over the first degree (``skugga.terrain.shading_loops``). Anything may face it, but for bare ground at one
-    height.
+    The sun fades in over the first degree of altitude (``skugga.terrain.shading_loops``). A surface may face the sun, unless the
+    scene is bare ground of constant height.
     """
     light, sine = daylight_of(scene), float(np.sin(np.radians(scene.highest_sun_deg or 0.0)))
     night = night_of(scene)
@@ -278,7 +287,7 @@ def _direct_share(scene: Scene) -> float:
     bare = low == high and scene.objects.kinds == ("relief",)
     direct = light.sun * min(scene.highest_sun_deg or 0.0, 1.0) * (sine if bare else 1.0)
     sky = light.sky * (night + (1.0 - night) * float(dusk_of(sine))) * (1.0 if bare else SEEN_LEAST)
-    sky = sky * (1.0 - scene.style.sky_greying)  # a colour that is all one channel's is greyed by so much there
+    sky = sky * (1.0 - scene.style.sky_greying)  # greying takes this share from a pure red, green or blue
     return float((direct / (direct + sky)).max())
 
 
@@ -286,7 +295,7 @@ CloudBounds = tuple[float, float, float, float]
 
 
 def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBounds:
-    """West, east, south, north of the places of the clouds between ground of a level, or what stands on it, and the sun."""
+    """Return the bounds of the cloud layer between the sun and the ground of some cells, with the objects on it."""
     row, col = np.meshgrid(*(np.linspace(first, last, 17) for first, last in cells))
     x, y = scene.elevation.xy(row, col)
     point, up = (values.reshape(-1, 3) for values in scene.world.ground(scene.elevation.crs, x, y))
@@ -294,13 +303,15 @@ def _box_of_cells(scene: Scene, layer: CloudLayer, cells: CellRange) -> CloudBou
     heights = np.repeat([low, high + scene.objects.tallest_m], len(point))
     points = np.tile(point, (2, 1)) + heights[:, None] * np.tile(up, (2, 1)) - scene.world.anchor_earth_m
     places = _places(points @ scene.world.earth_from_anchor, heights, layer)
-    # Between the points a meridian bends a little.
+    # The margin allows for meridians that curve between the points.
     return _box(places, 0.001 * np.ptp(places[np.isfinite(places).all(axis=1)], axis=0).max())
 
 
 def _boxes_of_look(scene: Scene, layer: CloudLayer, coarse_view: CoarseView) -> list[CloudBounds]:
-    """Such boxes of what a perspective view shows: of every two neighbouring octaves of distance, so that they cover what lies
-    between the points looked at too; past the farthest points, under the sky, a quarter farther.
+    """Return bounds of the cloud layer between the sun and the visible points of a perspective view.
+
+    Each box covers two neighbouring octaves of distance, so that the boxes also cover the surface between the samples. If the sky
+    is visible, the boxes extend a quarter beyond the farthest points.
     """
     rotation, origin_m = scene.world.anchor_from_frame(coarse_view.buffer.frame)
     points, away_m, height_m = coarse_view.points_frame_m, coarse_view.away_m, coarse_view.height_m
@@ -321,7 +332,7 @@ def _boxes_of_look(scene: Scene, layer: CloudLayer, coarse_view: CoarseView) -> 
 
 
 def _unseen_rise_m(scene: Scene, coarse_view: CoarseView) -> float:
-    """How far what is in view may rise above the points that a look has met, metres: trees, and meshes if any reaches into it."""
+    """Return the maximum height of visible objects above the points of a coarse view, metres: trees, and meshes in view."""
     view, trees = coarse_view.buffer.view, scene.objects.trees
     if isinstance(view, PerspectiveView) and farthest_mesh_m(scene, view, coarse_view.buffer.frame) > 0.0:
         return scene.objects.tallest_m
@@ -334,7 +345,7 @@ def _box(places: np.ndarray, margin_m: float) -> CloudBounds:
 
 
 def _places(points_anchor_m: np.ndarray, height_m: np.ndarray, layer: CloudLayer) -> np.ndarray:
-    """Places (n, 2) of the clouds between points (n, 3) and the sun, metres."""
+    """Return the positions (n, 2) in the cloud layer between points (n, 3) and the sun, metres."""
     return _all_places(points_anchor_m, height_m, layer.height_m, layer.to_sun_anchor, layer.centre_anchor_m, layer.drift_m)
 
 
@@ -349,7 +360,7 @@ def _all_places(points, height, layer_m, to_sun, centre, drift):
 
 @cached("process", MIB)
 def _densest(west: float, east: float, south: float, north: float, threshold: float) -> float:
-    """Largest density of the clouds over a box, from above."""
+    """Return an upper bound of the cloud density in a box."""
     return float(
         _density(
             _largest(west, east, south, north, threshold - CLOUD_EDGE_WIDTH / 2.0, threshold + CLOUD_EDGE_WIDTH / 2.0), threshold
@@ -359,10 +370,10 @@ def _densest(west: float, east: float, south: float, north: float, threshold: fl
 
 @compiled
 def _largest(west, east, south, north, low, high):
-    """Largest value of the noise over a box, from above, as far as it is between ``low`` and ``high``: by branch and bound.
+    """Return an upper bound of the noise in a box, clamped to ``low`` and ``high``, by branch and bound.
 
-    A cell whose middle's value and the steepest way from there to its corners stay below what is known already is done with;
-    others are cut into four, down to a metre.
+    A cell is discarded if its centre value plus the maximum slope to its corners stays below the best value so far. Other cells are
+    split into four, down to a radius of one metre.
     """
     rows, cols = int((north - south) / (WIDEST_M / 8.0)) + 1, int((east - west) / (WIDEST_M / 8.0)) + 1
     cells = np.empty((256, 4))

@@ -1,14 +1,16 @@
-"""Crowns: leaves let light through, and a tree that is three crossed pictures does not show it.
+"""Light through crowns: foliage transmits a part of the sunlight to the foliage behind it.
 
-The shadow that a tree's quads throw on each other is what algorithms rightly find; but a crown is no cross. Seen as it is found,
-it draws a sharp line down each crown, and streaks when the sun is low. In a real crown light comes through and round the leaves
-from everywhere: behind one layer of them there is still a good part of it (a leaf lets about a tenth of green light through and
-scatters as much; what is left comes through the gaps). So on foliage, and there alone, the share ``THROUGH_LEAVES`` of the sun's
-light gets past other foliage. Past ground and meshes none does: a ray from the point says what stands there. Its form a crown has
-from its normals (``skugga.terrain.gbuffer.resolve``), its grain from the pictures.
+A tree is drawn as three crossed quads. Algorithms compute the shadows of these quads on each other correctly, but a real crown is
+no cross. These shadows would draw a sharp line down each crown, and streaks under a low sun. In a real crown light passes through
+and around the leaves from all directions. Much of it is left behind one layer of leaves: a leaf transmits about a tenth of green
+light and scatters as much, and the rest passes through the gaps.
 
-Visibilities, masks and everything that is measured stay as they are: this is shading alone. In maps, where the level quad is
-seen, there is no cross to hide.
+On foliage only, the share ``THROUGH_LEAVES`` of the sunlight therefore passes other foliage. Ground and meshes block all of it; a
+ray from the point to the sun finds them. The crown gets its shape from its normals (``skugga.terrain.gbuffer.resolve``) and its
+grain from the textures.
+
+The effect changes shading only. Visibilities, masks and all measured values stay the same. Maps show the horizontal quad of each
+tree from above, where no cross is visible.
 """
 
 from __future__ import annotations
@@ -31,20 +33,20 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import daylight_of
 
 THROUGH_LEAVES = 0.65
-"""Share of the sun's light that reaches leaves behind other leaves."""
+"""Share of the sunlight that reaches leaves behind other leaves."""
 
 CELL_M = 2.0
-"""Leaves within such a cell are in the shadow of ground and meshes together: rays are looked for once in it ..."""
+"""Minimum side of the cells in which leaves share one ray to the sun. The ray tests for shadows of ground and meshes."""
 
 CELL_TANGENT = 0.004
-"""... or in a larger one, of about this angle from the eye."""
+"""Angle of a cell as seen from the eye, as a tangent. Distant cells are enlarged to about this angle."""
 
 PLACE_BITS = 18
-"""Bits of a cell's place along each axis: beyond so many cells another one has the same number."""
+"""Number of bits of a cell's index along each axis. Indices wrap around beyond that."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out in maps, where no tree is in view, and where there is no direct sunlight."""
+    """Return the verdict. It is no in maps, without trees in view, and without direct sunlight."""
     facts = descriptor.facts["crowns"]
     if descriptor.view_kind == "map":
         return Verdict(False, "a map shows crowns from above")
@@ -56,7 +58,11 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """How many ``trees`` may be in a perspective view, and whether direct sunlight reaches the level."""
+    """Return the facts of crowns.
+
+    - ``trees``: upper bound of the number of trees in a perspective view.
+    - ``sunlit``: whether direct sunlight reaches the level.
+    """
     if isinstance(view, MapView) or coarse_view is None:
         return {"trees": 0, "sunlit": scene.sun_is_up}
     stand, near = trees_in_view(scene, view, coarse_view.buffer.frame)
@@ -66,7 +72,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 
 def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
-    """Let light through to leaves that other leaves hide the sun from."""
+    """Add the transmitted sunlight to leaves that other leaves shade."""
     buffer, scene = block.buffer, block.scene
     if isinstance(block.view, MapView) or scene.sun is None or not scene.sun_is_up:
         return
@@ -76,7 +82,7 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
     points, key = buffer.position_frame_m.reshape(-1, 3), np.empty(len(pixels), np.int64)
     in_shares(len(pixels), _cells, points, pixels, block.view.in_frame(buffer.frame)[0], key)
     keys, first, cell = np.unique(key, return_index=True, return_inverse=True)
-    # From the middle of a cell, so that it is the same from wherever a picture begins.
+    # Rays start at the centre of a cell, so that the result does not depend on the origin of the picture.
     wide = CELL_M * 2.0 ** (keys >> 3 * PLACE_BITS)[:, None]
     start, to_sun = (np.floor(points[pixels[first]] / wide) + 0.5) * wide, scene.sun.in_frame(buffer.frame)
     hidden = hidden_by_relief(scene.world, scene.elevation, buffer.frame, start, to_sun)
@@ -90,7 +96,7 @@ def apply_crowns(sunlight: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _cells(first, last, points, pixels, eye, key):
-    """A number for the cell that each of some points lies in: how often its width is doubled, then its place along each axis."""
+    """Write the key of the cell of each point: the number of doublings of its side, then its index along each axis."""
     for n in range(first, last):
         p = points[pixels[n]]
         x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]

@@ -1,4 +1,4 @@
-"""What an effect is: when a scene calls for it, the facts that this goes by, and its part in the making of a picture."""
+"""The interface of effects: the predicate, the facts that it needs, and the rendering function."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from skugga.terrain.ground.surface import map_pixel_m
 from skugga.terrain.scene import Scene
 
 CHANNEL_STEP = 1.0 / 255.0
-"""What can be seen at least: a step of an 8-bit channel. An effect that changes no pixel by more is not called for."""
+"""Visibility threshold: one step of an 8-bit channel. An effect that changes no pixel by more is not needed."""
 
 Stage = Literal["albedo", "sunlight", "skylight", "lamplight", "color"]
-"""What a part of an effect changes, in the order in which the stages run, on a buffer's rows and columns:
+"""Array that an effect changes, in the order in which the stages run. Rows and columns are those of the geometry buffer:
 
-- ``albedo``: linear albedo (rows, cols, 3) of what is seen;
-- ``sunlight``: the share of the sun's direct light (rows, cols) that arrives, shadows taken into account;
-- ``skylight``: the share of the sky (rows, cols) that is seen;
-- ``lamplight``: light besides the sun's and the sky's (rows, cols, 3), in the units of ``skugga.terrain.shading``;
-- ``color``: linear display colour (rows, cols, 3), the sky of a perspective view included.
+- ``albedo``: linear albedo of the visible surfaces (rows, cols, 3);
+- ``sunlight``: share of the direct sunlight that reaches each pixel (rows, cols), shadows included;
+- ``skylight``: visible share of the sky (rows, cols);
+- ``lamplight``: light other than that of sun and sky (rows, cols, 3), in the units of ``skugga.terrain.shading``;
+- ``color``: linear display colour (rows, cols, 3), with the sky of a perspective view.
 
-All are float32 and changed in place.
+All arrays are float32 and changed in place.
 """
 
 BEFORE_SHADING: tuple[Stage, ...] = ("albedo", "sunlight", "skylight", "lamplight")
@@ -37,7 +37,15 @@ BEFORE_SHADING: tuple[Stage, ...] = ("albedo", "sunlight", "skylight", "lampligh
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether an effect is called for, and the reason either way."""
+    """Decision about an effect.
+
+    Attributes
+    ----------
+    called_for
+        Whether the scene needs the effect.
+    reason
+        The reason for either answer, as text for users.
+    """
 
     called_for: bool
     reason: str
@@ -45,9 +53,19 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class ShadingBlock:
-    """A part of a picture while it is made: what is seen, and each light's visibility there (rows, cols).
+    """A block of a picture during shading.
 
-    Rows of the buffer below the view's own are further samples of its pixels (``skugga.terrain.gbuffer.antialias``).
+    Attributes
+    ----------
+    scene
+        The scene.
+    view
+        The view of the block.
+    buffer
+        Geometry buffer of the visible surfaces. Its rows below those of the view are further samples of the view's pixels
+        (``skugga.terrain.gbuffer.antialias``).
+    visibilities
+        Visibility of each light by name (rows, cols).
     """
 
     scene: Scene
@@ -57,8 +75,16 @@ class ShadingBlock:
 
 
 class PixelSize(NamedTuple):
-    """How wide pixels are where they show something: all ``width_m`` in a map; in perspective, where that is 0, ``tangent`` (0 in
-    a map) at the distance 1 from the eye (3,).
+    """Width of a view's pixels on the visible surface.
+
+    Attributes
+    ----------
+    eye_frame_m
+        Position of the eye (3,), metres; zeros in a map.
+    tangent
+        Width of a pixel at distance 1 from the eye; 0 in a map.
+    width_m
+        Width of all pixels of a map, metres; 0 in perspective.
     """
 
     eye_frame_m: np.ndarray
@@ -67,7 +93,7 @@ class PixelSize(NamedTuple):
 
 
 def pixel_size(block: ShadingBlock) -> PixelSize:
-    """How wide a block's pixels are."""
+    """Return the width of a block's pixels."""
     if isinstance(block.view, MapView):
         return PixelSize(np.zeros(3), 0.0, map_pixel_m(block.scene.world, block.view))
     return PixelSize(block.view.in_frame(block.buffer.frame)[0], block.view.pixel, 0.0)
@@ -75,24 +101,28 @@ def pixel_size(block: ShadingBlock) -> PixelSize:
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect.
+    """An effect of the rendering pipeline. A module of ``skugga.terrain.effects`` registers one as its ``EFFECT``.
 
     Attributes
     ----------
     about
-        What it is, in a few words.
+        Description in a few words.
     called_for
-        Whether a scene calls for it: a predicate over the descriptor, its own facts among it.
+        Predicate that decides from the descriptor whether a scene needs the effect. The descriptor includes the effect's own facts.
     facts
-        What the predicate needs to know besides: numbers of a scene and a view (and of what a perspective view shows), by name.
-        Evaluated per (level, zoom, sun) or per view, never per tile.
-    stage, part
-        What it changes, and the function that does: a pass of the effect's name. ``None`` for switches of the pipeline
-        (``skugga.terrain.effects.SWITCHES`` says what each of them switches, and where).
+        Function that returns the further facts that the predicate needs, by name. Its arguments are the scene, the view and, for a
+        perspective view, its coarse view. It is evaluated per (level, zoom, sun) or per view, never per tile. ``None`` if the
+        predicate needs no further facts.
+    stage
+        The array that the effect changes; ``None`` for switches of the pipeline.
+    part
+        Function that changes this array in place, as a pass named after the effect. ``None`` for switches of the pipeline:
+        ``skugga.terrain.effects.SWITCHES`` names what they switch.
     needs
-        Effects without which it has nothing to do.
+        Names of the effects that this effect depends on.
     unknown
-        The answer for descriptors without its facts, as somebody may have written them by hand; ``None``: the predicate copes.
+        Verdict for a descriptor without the effect's facts, for example a handwritten one. ``None`` if the predicate accepts such
+        a descriptor.
     """
 
     about: str
@@ -101,10 +131,23 @@ class Effect:
     stage: Stage | None = None
     part: Callable[[np.ndarray, ShadingBlock], None] | None = None
     needs: tuple[str, ...] = ()
-    unknown: Verdict | None = Verdict(False, "not in the descriptor")
+    unknown: Verdict | None = Verdict(False, "the descriptor has no facts of this effect")
 
     def verdict(self, name: str, descriptor: Descriptor) -> Verdict:
-        """Whether a scene calls for it; ``name`` is its own."""
+        """Return whether a scene needs the effect.
+
+        Parameters
+        ----------
+        name
+            The name of the effect.
+        descriptor
+            The facts of the scene and the view.
+
+        Returns
+        -------
+        Verdict
+            The decision with its reason.
+        """
         if self.facts is not None and self.unknown is not None and name not in descriptor.facts:
             return self.unknown
         return self.called_for(descriptor)

@@ -1,14 +1,14 @@
-"""Ground detail: what a tint by height leaves out and an eye near the ground sees, patches of a meadow down to tufts.
+"""Ground detail: procedural texture of the ground near the eye, from patches of a meadow down to tufts.
 
-Gradient noise of several wavelengths makes the ground's albedo lighter and darker, and drier and greener. It goes by the place on
-the ground in metres from the level's anchor, so that it stays where it is when the camera moves.
+Gradient noise of several wavelengths varies the ground's albedo between lighter and darker, and between drier and greener. The
+noise is a function of the position in metres from the level's anchor, so it stays fixed when the camera moves.
 
-**No aliasing.** A wavelength is drawn as far as pixels can show it: all of it where it spans four of them, none where it spans
-two (H. Nyquist's limit). How much ground a pixel covers is its width at that distance, drawn out by the angle under which the
-ground is seen. So far ground keeps its tint, and so do maps, whose scales are mostly coarser than all of this: they go without.
+**Antialiasing.** The amplitude of each wavelength depends on the size of the pixels: full if it spans four pixels, zero if it spans
+two (the Nyquist limit). The size is the width of a pixel at its distance, divided by the cosine between the view and the ground's
+normal. Distant ground therefore keeps its plain tint. Maps are mostly coarser than all wavelengths and have no detail at all.
 
-**What shows.** A linear colour c that is multiplied by 1 + s moves by s c / (dc/dk) codes k; sRGB's slope makes that 2.4 s / 255
-of a code at most, on white. Below ``SHOWS`` nothing moves by more than a step.
+**Visibility.** If a linear colour c is multiplied by 1 + s, its code k changes by s c / (dc/dk). With the slope of sRGB this is at
+most 2.4 s / 255 of a code, on white. Below ``SHOWS`` no code changes by more than a step.
 """
 
 from __future__ import annotations
@@ -32,42 +32,42 @@ from skugga.terrain.shading import SHORE_M
 GROUND_WAVES = (
     (47.0, 0.10), (19.0, 0.09), (7.3, 0.09), (2.9, 0.11), (1.1, 0.15), (0.43, 0.19), (0.17, 0.22), (0.067, 0.22),
 )  # fmt: skip
-"""Wavelengths in metres, and how much of the albedo each takes away or adds at most."""
+"""Wavelengths in metres, each with its amplitude as a share of the albedo."""
 
 HUE = (0.55, 0.0, -0.85)
-"""How the two longest waves move red, green and blue besides, as a share of what they move all: dry where it is light."""
+"""Additional change of red, green and blue by the waves that change the hue, relative to their amplitude: lighter means drier."""
 
 HUE_WAVES = 3
-"""The waves that change the hue."""
+"""Number of waves that change the hue, longest first."""
 
 PAVED = 0.45
-"""Share of all that on level ground without tints, which is a floor or a square."""
+"""Factor of all amplitudes on level ground without tints, for example a floor or a square."""
 
 DETAIL_SEED = 71
 
 MOST_NOISE = 0.9
-"""More than gradient noise ever is."""
+"""Upper bound of gradient noise."""
 
 TURN = (0.8, 0.6)
-"""Cosine and sine by which each wave's lattice is turned against the one before: their rows never lie on each other."""
+"""Cosine and sine of the rotation between the lattices of successive waves, so that their rows never coincide."""
 
 GRAZING_COSINE = 0.02
-"""Cosine between the view and the ground's normal from which on it counts as this."""
+"""Lower bound of the cosine between the view and the ground's normal."""
 
 SHOWS = CHANNEL_STEP / 0.45
-"""Share of the albedo that changes no colour by more than one of 255."""
+"""Largest relative change of the albedo that changes no colour by more than one of 255."""
 
 WAVE_RUN = 256
-"""Pixels that are computed together."""
+"""Number of pixels that are computed together."""
 
 _WAVES = np.array(GROUND_WAVES)
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out in maps, on draped imagery, and where all ground is too far away for any of it to show."""
+    """Return the verdict. It is no in maps, on draped imagery, and if all ground is too far away for visible detail."""
     facts = descriptor.facts["ground_detail"]
     if descriptor.view_kind == "map":
-        return Verdict(False, "a map shows the ground's tints alone")
+        return Verdict(False, "a map shows the ground's tints only")
     if facts["draped"]:
         return Verdict(False, "imagery is draped over the ground")
     nearest_m, share = number(facts["nearest_m"]), number(facts["share"])
@@ -79,8 +79,11 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """Whether imagery is ``draped`` over the ground, how near the ``nearest_m`` of it is, and the ``share`` of its albedo that may
-    change there.
+    """Return the facts of ground detail.
+
+    - ``draped``: whether imagery is draped over the ground.
+    - ``nearest_m``: distance of the nearest visible ground, metres; ``None`` if no ground is visible.
+    - ``share``: upper bound of the relative change of its albedo; ``None`` if no ground is visible.
     """
     draped = scene.loaded.level.terrain.imagery is not None
     if coarse_view is None or isinstance(view, MapView):
@@ -92,20 +95,20 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         return {"draped": draped, "nearest_m": None, "share": None}
     to_eye = (coarse_view.eye_frame_m - coarse_view.points_frame_m[ground]) / np.maximum(away_m, 1e-9)[:, None]
     facing = np.abs(np.einsum("nk,nk->n", buffer.shading_normal_frame[buffer.there][ground], to_eye))
-    # Up to the next point a plane lies nearer, and is seen more from above: at the distance h / c under the cosine c.
+    # Between two samples a plane may be nearer and seen at a steeper angle: at distance h / c for the cosine c.
     steeper = np.clip(facing + coarse_view.spacing, GRAZING_COSINE, 1.0)
     wide_m = view.pixel * away_m * np.maximum(facing, GRAZING_COSINE) / steeper**2
     return {"draped": draped, "nearest_m": float(away_m.min()), "share": largest_share(float(wide_m.min()))}
 
 
 def largest_share(pixel_m: float) -> float:
-    """The largest share of its albedo that detail adds to ground, or takes away, where a pixel covers so much of it."""
+    """Return an upper bound of the relative change of the albedo for pixels of some size."""
     shown = [amplitude * _shown(wave, pixel_m) for wave, amplitude in GROUND_WAVES]
     return float(MOST_NOISE * (sum(shown) + max(map(abs, HUE)) * sum(shown[:HUE_WAVES])))
 
 
 def apply_ground_detail(albedo: np.ndarray, block: ShadingBlock) -> None:
-    """Vary the albedo of bare ground."""
+    """Multiply the albedo of bare ground by the detail."""
     buffer, scene, view = block.buffer, block.scene, block.view
     if isinstance(view, MapView) or scene.loaded.level.terrain.imagery is not None:
         return
@@ -119,7 +122,7 @@ def _made_from(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> t
 
 @cached("scene", 128 * MIB, key=_made_from, most=1)
 def _detail(buffer: GeometryBuffer, scene: Scene, view: PerspectiveView) -> np.ndarray:
-    """How much lighter and drier (rows, cols, 2) float64 the ground is: the same under any sun."""
+    """Return how much lighter and drier the ground is, shape (rows, cols, 2), float64. It does not depend on the sun."""
     out = np.zeros((*buffer.there.shape, 2))
     in_shares(
         len(out), _waves_on, buffer.shown, scene.world.anchor_from_frame(buffer.frame), scene.elevation.water_m + SHORE_M,
@@ -140,13 +143,13 @@ def _vary(first, last, albedo, detail, share, hue):
 
 @compiled
 def _shown(wave_m, pixel_m):
-    """Share of a wave that pixels of some width show."""
+    """Return the visible share of a wave's amplitude for pixels of some width."""
     return min(max(wave_m / (2.0 * max(pixel_m, 1e-9)) - 1.0, 0.0), 1.0)
 
 
 @compiled
 def _waves_on(first, last, shown, anchor_from_frame, water_m, eye, pixel, waves, out):
-    """In runs of pixels, by ``noise_along``."""
+    """Compute the detail of some rows, in runs of pixels, with ``noise_along``."""
     there, kind, position, height, normal = shown
     rotation, origin = anchor_from_frame
     x, y, wide_m = np.empty(WAVE_RUN), np.empty(WAVE_RUN), np.empty(WAVE_RUN)
@@ -173,7 +176,7 @@ def _waves_on(first, last, shown, anchor_from_frame, water_m, eye, pixel, waves,
 
 @internal
 def _add_waves(x, y, wide_m, waves, column, out):
-    """Add the waves at places (n,) of a row's columns; the places are changed."""
+    """Add the waves at positions (n,) to the columns of a row. The positions are modified."""
     along, across, noise = np.empty(x.size), np.empty(x.size), np.empty(x.size)
     finest = wide_m.min()
     for k in range(len(waves)):

@@ -1,30 +1,35 @@
-"""Distance haze: air between the eye and what is seen takes light away and puts the horizon sky's in its place.
+"""Distance haze: the air between the eye and a surface absorbs its light and adds light of the colour of the horizon.
 
-With the meteorological visibility V, at which a black object's contrast with the horizon falls to 2 %, the air's extinction is
-b = ln(50) / V = 3.912 / V (H. Koschmieder 1924, "Theorie der horizontalen Sichtweite"; WMO-No. 8, part I, chapter 9). Of a
-colour c at distance d the share T = exp(-b d) arrives; the air in front of it shines with 1 - T of the horizon's colour h:
+**Model.** The meteorological visibility V is the distance at which a black object's contrast with the horizon falls to 2 %. The
+extinction of the air is b = ln(50) / V = 3.912 / V (H. Koschmieder 1924, "Theorie der horizontalen Sichtweite"; WMO-No. 8, part I,
+chapter 9). The share T = exp(-b d) of a colour c at distance d reaches the eye. The air in front of it adds the share 1 - T of the
+horizon's colour h:
 
     T c + (1 - T) h
 
-so that what is far away goes over into the foot of the sky without a seam. The sky itself stays as it is: h is the colour of
-air without an end in that direction, warm towards a low sun. The air of a level's own visibility is taken to be the same at all
-heights. Clear air is as thin as it is on average between the lowest ground and the eye, with a scale height H of 8 km: at the
-height z of the eye over that ground, (1 - exp(-z / H)) H / z of what it is there. From an orbit ground is seen well.
+Distant surfaces therefore blend into the foot of the sky without a seam. The sky itself does not change: h is the colour of
+infinitely deep air in that direction, warm towards a low sun.
 
-V is measured by green light. What of b the air itself scatters (J. W. Strutt, Lord Rayleigh 1871; 13.6e-6 / m of green at most)
-falls with the fourth power of the wavelength, what dust and drops scatter hardly does: far ridges are blue in clear air, and grey
-in mist. A level that sets no visibility lies in clear air, too, and no farther than some tens of kilometres can be seen well.
+**Density.** A visibility set by the level applies to air at all heights. Clear air has the mean density between the lowest ground
+and the eye, with a scale height H of 8 km. For an eye at the height z above that ground, this is (1 - exp(-z / H)) H / z of the
+density at the ground. Ground is therefore clearly visible from an orbit.
 
-**What shows.** Linear colours x < y differ by no more than one of 255 where the sRGB codes of the encoder's bins that they can
-fall into do. The bins are 1/4096 wide, which at black is 0.8 of a step. Codes rise ever more slowly with the colour, and x
-times their slope with it, so that
+**Colour.** V refers to green light. The air itself scatters at most 13.6e-6 / m of green light, and this part of b is proportional
+to the inverse fourth power of the wavelength (J. W. Strutt, Lord Rayleigh 1871). Scattering by dust and droplets hardly depends on
+the wavelength. Distant ridges are therefore blue in clear air and grey in mist. A level without its own visibility has clear air,
+too, in which the view is good for some tens of kilometres only.
 
-- haze that moves c towards h by the share s = 1 - T shows first on black (0 against s h) or on white (1 - s (1 - h) against 1);
-- sunlight is told from shadow most easily on what is white and else black: (1 - T) h against (1 - T) h + T g, where g is white
-  in full sun alone: more light from elsewhere only brings the two nearer. Where a part of a pixel alone shows it, and the rest
-  something black, both are that part of it.
+**Visibility threshold.** Linear colours x < y differ by at most one of 255 if the sRGB codes of all encoder bins that they can fall
+into do. The bins are 1/4096 wide, which is 0.8 of a step at black. The slope of the codes decreases with the colour, but the
+product of x and this slope increases. Therefore
 
-Each channel is looked at by itself, with the darkest or brightest that the horizon is anywhere in it, whichever shows more.
+- haze that moves c towards h by the share s = 1 - T is first visible on black (0 against s h) or on white (1 - s (1 - h) against
+  1);
+- the difference between sunlight and shadow is most visible on a white surface without other light: (1 - T) h against
+  (1 - T) h + T g, where g is white in direct sun. Further light only reduces the difference. If only a part of a pixel shows the
+  surface and the rest is black, both colours are multiplied by that part.
+
+Each channel is tested separately, with the horizon's minimum or maximum in that channel, whichever is more visible.
 """
 
 from __future__ import annotations
@@ -49,29 +54,29 @@ from skugga.terrain.sky import horizon_colors, passing, sky_colors, sky_of, sunw
 from skugga.terrain.srgb import srgb_of_linear
 
 CONTRAST = 0.02
-"""What is left of a black object's contrast with the horizon at the distance called visibility."""
+"""Contrast of a black object with the horizon at the distance that defines the visibility."""
 
 CLEAR_AIR_M = 100_000.0
-"""Visibility where a level sets none: clear weather, without the dust of a dry summer."""
+"""Default visibility: clear weather, without the dust of a dry summer."""
 
 SCALE_HEIGHT_M = 8000.0
-"""Height over which air thins to 1/e."""
+"""Height difference over which the density of air falls to 1/e."""
 
 RAYLEIGH_PER_M = (5.802e-6, 13.558e-6, 33.1e-6)
 """Scattering of red, green and blue light by air at sea level (E. Bruneton and F. Neyret 2008)."""
 
 BIN = 1.0 / 4096.0
-"""Width of the bins of linear colour that ``skugga.terrain.shading.srgb_encoded`` tells apart."""
+"""Width of the bins of linear colour in ``skugga.terrain.shading.srgb_encoded``."""
 
 SHARES = np.geomspace(1e-5, 1.0, 2048)
-"""Shares of light that are tried out, each 0.6 % more than the one before it."""
+"""Tested shares of light, in steps of 0.6 %."""
 
 SAMPLE_SHARES = (1.0, 4 / 5, 2 / 3, 3 / 5, 2 / 5, 1 / 3, 1 / 5)
-"""What some of a pixel's samples (``skugga.terrain.gbuffer.antialias``) make up of it."""
+"""Possible shares of a pixel that some of its samples cover (``skugga.terrain.gbuffer.antialias``)."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out in maps, and where all that is seen is too near for the air in between to show."""
+    """Return the verdict. It is no in maps, and if all visible surfaces are too near for visible haze."""
     if descriptor.view_kind == "map":
         return Verdict(False, "a map view has no viewing distance, so no haze")
     facts = descriptor.facts["haze"]
@@ -89,10 +94,12 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """Visibility, the distance from which haze can show, and the farthest that is seen, metres.
+    """Return the facts of haze, all in metres.
 
-    The last is what the coarse look has met, where that is enough for haze to show; else nothing that the look may have missed
-    lies farther.
+    - ``visibility_m``: meteorological visibility.
+    - ``shows_from_m``: distance beyond which haze can be visible.
+    - ``farthest_m``: distance of the farthest point of the coarse view. If haze is not visible there, it is an upper bound of the
+      distance of all visible surfaces, including those that the coarse view may have missed.
     """
     if coarse_view is None:
         return {"visibility_m": scene.loaded.level.weather.visibility}
@@ -105,7 +112,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 
 def visibility_of(scene: Scene, view: MapView | PerspectiveView) -> float:
-    """The meteorological visibility in a view of a level, metres."""
+    """Return the meteorological visibility in a view, metres."""
     visibility_m = scene.loaded.level.weather.visibility
     if visibility_m is not None:
         return visibility_m
@@ -117,19 +124,20 @@ def visibility_of(scene: Scene, view: MapView | PerspectiveView) -> float:
 
 
 def extinction(visibility_m: float) -> float:
-    """Share of green light that a metre of air takes away, per metre, by Koschmieder's formula."""
+    """Return the extinction coefficient of green light, per metre, by Koschmieder's formula."""
     return float(-np.log(CONTRAST) / visibility_m)
 
 
 def extinctions(visibility_m: float) -> np.ndarray:
-    """The same of red, green and blue light (3,)."""
+    """Return the extinction coefficients of red, green and blue light (3,), per metre."""
     green, air = extinction(visibility_m), np.array(RAYLEIGH_PER_M)
     return green + min(green, air[1]) * (air / air[1] - 1.0)
 
 
 def farthest_in_view_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> float:
-    """How far away, in metres, the farthest ground, mesh or tree lies that reaches into the pyramid of a view's pixels, whether or
-    not something hides it: nothing that is seen lies farther. 0 where there is nothing but sky.
+    """Return an upper bound of the distance of all visible surfaces, metres; 0 if the view shows only sky.
+
+    It is the distance of the farthest ground, mesh or tree that intersects the view frustum, hidden or not.
     """
     frame, ground = coarse_view.buffer.frame, coarse_view.buffer.ground
     eye, _, _, inward = _pyramid(view, frame)
@@ -144,7 +152,7 @@ def farthest_in_view_m(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
 
 
 def trees_in_view(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> tuple[TreeInstances | None, np.ndarray]:
-    """The trees round an eye, and indices (n,) of those that reach into the pyramid of a view's pixels; ``None`` without any."""
+    """Return the trees around the eye (or ``None``), and the indices (n,) of those that intersect the view frustum."""
     stand = tree_instances_in_perspective(scene.objects, frame, tuple(view.eye_earth_m), view.focal_px)
     if stand is None:
         return None, np.zeros(0, np.int64)
@@ -153,7 +161,7 @@ def trees_in_view(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> tup
 
 
 def farthest_mesh_m(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> float:
-    """The same of meshes alone; 0 where none reaches into the view."""
+    """Return the distance of the farthest mesh in the view frustum, metres; 0 if there is none."""
     solids, vertices = scene.objects.solids, solids_in(scene.objects, frame)
     if solids is None or vertices is None:
         return 0.0
@@ -162,8 +170,10 @@ def farthest_mesh_m(scene: Scene, view: PerspectiveView, frame: LocalFrame) -> f
 
 
 def _pyramid(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Eye and rotation to the camera, least and largest tangents (2, 2) across and down, and the inward normals (5, 3) of the
-    planes that bound a view's pixels, in a frame: from one before the first to one past the last, for rasterisers round corners.
+    """Return the view frustum in a frame: eye, rotation to the camera, tangents and planes.
+
+    The tangents (2, 2) are the minimum and maximum across and down. The planes have inward normals (5, 3). The frustum is one pixel
+    wider on each side, since rasterisers round corners.
     """
     eye, camera_from_frame = view.in_frame(frame)
     first, count = np.array([view.col0, view.row0]), np.array([view.cols, view.rows])
@@ -174,9 +184,9 @@ def _pyramid(view: PerspectiveView, frame: LocalFrame) -> tuple[np.ndarray, np.n
 
 
 def hides_beyond_m(scene: Scene, view: PerspectiveView) -> float:
-    """The distance from which haze hides whether the sun shines on a point: no pixel's colour differs by more than one of 255.
+    """Return the distance beyond which haze hides the difference between sunlight and shadow, metres.
 
-    0 where the sun is down everywhere.
+    Beyond it no pixel's colour differs by more than one of 255. The distance is 0 if the sun is down in the whole level.
     """
     if not scene.sun_is_up:
         return 0.0
@@ -186,7 +196,7 @@ def hides_beyond_m(scene: Scene, view: PerspectiveView) -> float:
 
 
 def _white_in_sun(scene: Scene) -> np.ndarray:
-    """Linear display colours (3,) of white that faces the sun, by its direct light alone; glints on water are brighter."""
+    """Return an upper bound of the linear display colour (3,) of direct sunlight: a white surface, or 1 for glints on water."""
     if scene.loaded.level.water is not None:
         return np.ones(3)
     shown = daylight_of(scene).sun
@@ -194,7 +204,7 @@ def _white_in_sun(scene: Scene) -> np.ndarray:
 
 
 def _shows_from_m(scene: Scene, visibility_m: float) -> float:
-    """The distance up to which haze changes no pixel, black and white ones included, by more than one of 255."""
+    """Return the distance up to which haze changes no pixel of any colour by more than one of 255, metres."""
     horizon = horizon_colors(scene)
     shares = [_showing_share((dark,), (bright,)) for dark, bright in zip(horizon.min(axis=0), horizon.max(axis=0), strict=True)]
     return float((-np.log1p(-np.array(shares)) / extinctions(visibility_m)).min())
@@ -202,7 +212,7 @@ def _shows_from_m(scene: Scene, visibility_m: float) -> float:
 
 @cached("process", MIB)
 def _hiding_share(horizon: tuple[float, ...], white: tuple[float, ...]) -> float:
-    """The largest share of light that arrives without telling sun from shadow."""
+    """Return the maximum transmittance at which sunlight and shadow still look alike."""
     air = (1.0 - SHARES)[:, None] * np.array(horizon)
     lit = air + SHARES[:, None] * np.array(white)
     hidden = np.logical_and.reduce([_alike(part * air, part * lit) for part in SAMPLE_SHARES])
@@ -211,7 +221,10 @@ def _hiding_share(horizon: tuple[float, ...], white: tuple[float, ...]) -> float
 
 @cached("process", MIB)
 def _showing_share(darkest: tuple[float, ...], brightest: tuple[float, ...]) -> float:
-    """The largest share of a horizon's light that shows neither on black, where it is brightest, nor on white, where darkest."""
+    """Return the maximum share of the horizon's light that is invisible, on black and on white.
+
+    The test on black uses the brightest colour of the horizon, the test on white the darkest.
+    """
     black = np.zeros((1, len(darkest)))
     hidden = _alike(black, SHARES[:, None] * brightest)
     hidden &= _alike(1.0 - SHARES[:, None] * (1.0 - np.array(darkest)), black + 1.0)
@@ -219,7 +232,7 @@ def _showing_share(darkest: tuple[float, ...], brightest: tuple[float, ...]) -> 
 
 
 def _alike(dark: np.ndarray, bright: np.ndarray) -> np.ndarray:
-    """Whether colours (n, 3) look alike when encoded, however they lie in the encoder's bins: bool (n,)."""
+    """Return whether pairs of colours (n, 3) differ by at most one code for any position in the encoder's bins, bool (n,)."""
     lowest = np.maximum(dark - 0.5 * BIN, 0.5 * BIN)
     bins = np.ceil((bright - dark) / BIN)
     return (255.0 * (srgb_of_linear(lowest + bins * BIN) - srgb_of_linear(lowest)) < 1.0).all(axis=1)
@@ -230,7 +243,7 @@ def _metres(length_m: float) -> str:
 
 
 def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
-    """Lay the air over what is seen. A map has no viewing distance, and so nothing to lay over it."""
+    """Blend the visible surfaces with the colour of the horizon. A map has no viewing distance and does not change."""
     scene, view, frame = block.scene, block.view, block.buffer.frame
     if isinstance(view, MapView):
         return
@@ -244,7 +257,7 @@ def apply_haze(color: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _veil(first, last, color, there, position, eye, extinction, up, level, sky):
-    """In rows of loops that compile to vector instructions."""
+    """Apply haze to some rows. The inner loops compile to vector instructions."""
     cols = there.shape[1]
     away, along, passes = np.empty(cols), np.empty(cols), np.empty(cols)
     at_horizon, foot = np.zeros(cols), np.empty((3, cols))
@@ -267,7 +280,7 @@ def _veil(first, last, color, there, position, eye, extinction, up, level, sky):
 
 @compiled
 def _farthest(position, triangles, eye, inward):
-    """The largest distance from an eye of what lies within planes through it, of which ``inward`` (m, 3) are the normals."""
+    """Return the maximum distance from the eye of triangles clipped by planes through the eye with normals ``inward`` (m, 3)."""
     away, outside = np.zeros(len(position)), np.zeros(len(position), np.uint8)
     for n in range(len(position)):
         x, y, z = position[n, 0] - eye[0], position[n, 1] - eye[1], position[n, 2] - eye[2]
@@ -292,9 +305,9 @@ def _farthest(position, triangles, eye, inward):
 
 @internal
 def _farthest_corner(polygon, inward):
-    """The largest squared distance of a triangle, cut off by planes one after another (I. Sutherland and G. Hodgman 1974).
+    """Return the maximum squared distance of a triangle clipped by planes (I. Sutherland and G. Hodgman 1974).
 
-    ``polygon`` is room for two polygons; the triangle is in the first.
+    ``polygon`` is a work array for two polygons. The first one contains the triangle.
     """
     count = 3
     for k in range(len(inward)):

@@ -1,7 +1,7 @@
-"""Extra lights: spots and omni lights, where one of them reaches the view.
+"""Lamps: spots and omni lights, needed if the light of one of them is visible in the view.
 
-Their brightness at a point is ``_shine``; ``reaching_lamps`` and the glints on water (``skugga.terrain.effects.water``) go by the
-same law.
+``_shine`` computes their light at a point. ``reaching_lamps`` and the glints on water (``skugga.terrain.effects.water``) use the
+same formula.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from skugga.terrain.shading_loops import LEAST_SKY, dusk_of
 from skugga.terrain.srgb import srgb_of_linear
 
 NAMED_LAMPS = 8
-"""So many lamps are named in a sentence, at most."""
+"""Maximum number of lamps that a reason names."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out without lamps, and where the light of none of them can be seen."""
+    """Return the verdict. It is no without lamps, and if the light of none of them is visible."""
     if not descriptor.lamps:
         return Verdict(False, "the level has no lamps")
     reaching = [lamp.name for lamp in descriptor.lamps if lamp.reaches]
@@ -40,24 +40,26 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def _listed(names: list[str]) -> str:
-    """Names, of many the first."""
+    """Return names joined with commas, shortened to the first ``NAMED_LAMPS`` and the number of the others."""
     others = len(names) - NAMED_LAMPS
     return ", ".join(names if others <= 1 else [*names[:NAMED_LAMPS], f"{others} others"])
 
 
 def reaching_lamps(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> set[str]:
-    """The names of the lamps whose light can be seen: on white ground that faces them, wherever a map shows ground or a view looks.
-    Together the others change no 8-bit channel by more than three quarters of a step.
+    """Return the names of the lamps whose light can be visible in a view.
+
+    The light is tested on white ground that faces the lamp, at all ground of a map or at all points of a perspective view. The
+    other lamps together change no 8-bit channel by more than three quarters of a step.
     """
     light = {name: _light_on(scene, lamp, view, coarse_view) for name, lamp in scene.lamps.items()}
     return set(light) - unseen_together(light, _least_light(scene))
 
 
 def unseen_together(light: Mapping[str, np.ndarray | float], least: float) -> set[str]:
-    """Of lamps those that may be left out, the dimmest first, as long as no point loses more light by it than what shows.
+    """Return the lamps that may be left out: the dimmest ones, until some point would lose more than the visible light.
 
-    ``light`` is what each lamp brings to the same points (n,), or to one, ``least`` the light that shows: irradiances in one unit,
-    0 or more. Of lamps that are equally bright where they are brightest the first are left out.
+    ``light`` is the irradiance of each lamp at the same points (n,), or at one point. ``least`` is the smallest visible irradiance
+    in the same unit. All values are 0 or more. Lamps are sorted by their maximum irradiance; equal ones keep their order.
     """
     unseen, together = set(), np.zeros(1)
     for name in sorted(light, key=lambda name: float(np.max(light[name], initial=0.0))):
@@ -69,11 +71,11 @@ def unseen_together(light: Mapping[str, np.ndarray | float], least: float) -> se
 
 
 def _light_on(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> np.ndarray:
-    """The most light of a lamp that falls on anything that is shown round each of some points (n,), the same for all lamps, in
-    units of the sun's irradiance; 0 where none does.
+    """Return an upper bound of a lamp's irradiance on visible surfaces around some points (n,), in units of the sun's irradiance.
 
-    Looked at are the overview's highest ground and what stands there, or the points of the view, each taken for as near as the
-    way to its neighbours and the height of trees allow. A plain without anything on it is known to lie flat.
+    The points are the same for all lamps: the maximum heights of the overview, or the points of the coarse view. The distance to
+    the lamp is reduced by the spacing of the points and by the maximum height of objects. On flat ground without objects the bound
+    includes the cosine of incidence. The result is 0 where the lamp does not shine.
     """
     exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     strength = max(lamp.color) * lamp.intensity * lamp.reference_m**2 * exposure
@@ -93,7 +95,7 @@ def _light_on(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_
     light = strength / near_m**2
     if scene.world.flat and np.ptp(scene.height_range_m) <= 0.0 and scene.objects.kinds == ("relief",):
         light *= np.minimum(np.abs(to_points[:, 2]) / near_m, 1.0)
-    shines = light > 0.0  # not where a point is unknown
+    shines = light > 0.0  # False for NaN points
     if lamp.kind == "spot":
         off_deg = np.degrees(np.arccos(np.clip(to_points @ lamp.earth_from_lamp[:, 2] / np.maximum(away_m, 1e-9), -1.0, 1.0)))
         shines &= off_deg - np.degrees(np.arctan2(slack_m, near_m)) <= lamp.cutoff_deg
@@ -101,11 +103,11 @@ def _light_on(scene: Scene, lamp: Lamp, view: MapView | PerspectiveView, coarse_
 
 
 def _least_light(scene: Scene) -> float:
-    """The least light, falling on white, that can change an 8-bit channel by more than three quarters of a step.
+    """Return the smallest irradiance on white that can change an 8-bit channel by more than three quarters of a step.
 
-    Least light shows most where there is least else: ground has a quarter of the sky's by itself even in a gorge, less on the side
-    that is turned away from the sun, the undersides of meshes none. White shows it most, since what a colour c makes of a light
-    changes as c to the power of 0.42.
+    Light is most visible where other light is weakest. Ground receives at least a quarter of the sky light even in a gorge, and
+    less on the side away from the sun. The undersides of meshes may receive none. Light is most visible on white, since a light
+    changes the code of a colour c in proportion to c to the power of 0.42.
     """
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
     night = night_of(scene)
@@ -117,7 +119,7 @@ def _least_light(scene: Scene) -> float:
 
 @cached("scene", 16 * MIB)
 def _points_of_cells(scene: Scene, cells: CellRange) -> tuple[np.ndarray, np.ndarray]:
-    """Earth-fixed points (n, 3) of the overview's cells, and how far ground of a cell lies from its point, metres (n,)."""
+    """Return the earth-fixed points (n, 3) of some cells of the overview, and the radius of each cell's ground (n,), metres."""
     overview, elevation = scene.elevation.overview, scene.elevation
     factor = 2**overview.level
     shown = np.zeros(overview.high_m.shape, bool)
@@ -130,7 +132,7 @@ def _points_of_cells(scene: Scene, cells: CellRange) -> tuple[np.ndarray, np.nda
 
 
 def apply_lamps(lamplight: np.ndarray, block: ShadingBlock) -> None:
-    """Add the lamps' light: their irradiance falls with the square of the distance, and over the rim of a spot's cone."""
+    """Add the light of the lamps: inverse-square falloff, and a smooth edge of a spot's cone."""
     buffer, scene = block.buffer, block.scene
     exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     for name, visibility in block.visibilities.items():

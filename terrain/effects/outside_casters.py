@@ -1,7 +1,7 @@
-"""Casters outside the view: ground beyond a map's block that can throw its shadow into it is looked for towards the sun.
+"""Casters outside the view: ground beyond a map's block, towards the sun, that can cast shadows into the block.
 
-Trees and meshes are held whole, wherever they stand, and so is the ground of a perspective view: what is outside is ground beyond
-what a map shows.
+All trees and meshes are always loaded, wherever they stand, and so is the ground of a perspective view. The effect therefore
+concerns only ground beyond the area of a map.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from skugga.terrain.scene import Scene
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out where no ground is high enough, or none is outside."""
+    """Return the verdict. It is no if no ground outside can cast shadows into the view, or if all ground is inside."""
     if descriptor.view_kind == "perspective":
         return Verdict(False, "not needed: a perspective view already includes all ground, even behind the camera")
     if not descriptor.facts.get("outside_casters", {}).get("outside", True):
         return Verdict(False, "one block shows all of the ground")
     relief = cast_shadows.sun_kind_verdict(descriptor, "relief")
     if relief.called_for and cast_shadows.sun_verdict(descriptor).called_for:
-        return Verdict(True, f"{relief.reason}, also outside of the view")
+        return Verdict(True, f"{relief.reason}, also outside the view")
     if any(lamp.reaches for lamp in descriptor.lamps) and descriptor.relief_m > 0.0:
         return Verdict(True, "ground between the view and a lamp can cast shadows into the view")
     return Verdict(False, relief.reason if not relief.called_for else cast_shadows.sun_verdict(descriptor).reason)
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """``outside``: whether ground lies outside of a map's picture, or, for blocks of tiles, of the one block that holds it all."""
+    """Return the fact ``outside``: whether a map's picture omits some ground; for tiles, whether ground spans several blocks."""
     if isinstance(view, PerspectiveView):
         return {}
     (first_row, last_row), (first_col, last_col) = extent_on_grid(scene.world, scene.elevation, view.grid)
@@ -43,7 +43,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
         ends = (first_row, last_row), (first_col, last_col)
         return {"outside": any(first // BLOCK_PX != last // BLOCK_PX for first, last in ends)}
     rows, cols = view.row0 + view.row_step * np.array([0, view.rows - 1]), view.col0 + view.col_step * np.array([0, view.cols - 1])
-    is_one_block = len(blocks_of(view)) == 1  # what is drawn in parts is outside of all but one of them
+    is_one_block = len(blocks_of(view)) == 1  # with several blocks, ground of one is outside of the others
     inside = is_one_block and rows[0] <= first_row and last_row <= rows[1] and cols[0] <= first_col and last_col <= cols[1]
     return {"outside": not inside}
 

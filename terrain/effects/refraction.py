@@ -1,8 +1,8 @@
-"""Refraction: the atmosphere lifts the sun, by half a degree at the horizon and 0.02 degrees at 45.
+"""Refraction: the atmosphere raises the sun's apparent altitude, by half a degree at the horizon and 0.02 degrees at 45 degrees.
 
-Called for where this moves the end of the longest shadow by more than a pixel, or changes how light falls on a slope by more than
-a step: n.l changes by the lift at most, in radians, which exposure and the slope of sRGB make a change of the picture. That slope
-is at most ``SRGB_SLOPE`` on what the sky's light alone leaves by day.
+The effect is needed if the lift moves the end of the longest shadow by more than a pixel, or changes the light on a slope by more
+than a step. The cosine n.l changes by at most the lift in radians. Exposure and the slope of sRGB turn this into a change of the
+picture. By day that slope is at most ``SRGB_SLOPE`` on surfaces that only sky light reaches.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import exposure_of
 
 SRGB_SLOPE = 3.5
-"""Slope of sRGB at a linear value of 0.03: white ground on a slope that sees half of the sky, and its dark side."""
+"""Slope of sRGB at a linear value of 0.03: the dark side of white ground on a slope that sees half of the sky."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out where the sun is given as it is seen, and where it is high."""
+    """Return the verdict. It is no if the level sets the sun's apparent angles, and under a high sun."""
     if descriptor.highest_sun_deg is None:
         return Verdict(False, "the level has no sun")
     facts = descriptor.facts["refraction"]
@@ -47,7 +47,11 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """``lift_deg``, and ``moves_m``: how much longer the longest shadow of the level would be without it."""
+    """Return the facts of refraction.
+
+    - ``lift_deg``: increase of the sun's altitude by refraction, degrees.
+    - ``moves_m``: increase of the length of the level's longest shadow without refraction, metres.
+    """
     if scene.sun is None:
         return {}
     tallest_m = float(np.ptp(scene.height_range_m)) + scene.objects.tallest_m

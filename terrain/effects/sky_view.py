@@ -1,13 +1,13 @@
-"""Sky view: ground that rises round a place hides a part of the sky, so that valleys get less of its light.
+"""Sky-view factor: surrounding ground hides a part of the sky, so that valleys receive less sky light.
 
-**The part.** Of each point's share of the sky the share is taken away that ground hides below it
-(``skugga.terrain.ground.sky_view_factor``). On the ground itself that is the light lost; meshes and trees lose the same share as
-the ground that they stand on, however high they rise above it. Ground that is seen from afar takes means over what a pixel shows.
+**Rendering.** The sky light of each point is multiplied by the sky-view factor of the ground below it
+(``skugga.terrain.ground.sky_view_factor``). This is exact on the ground itself. Meshes and trees get the factor of the ground that
+they stand on, at any height above it. Distant ground uses means over the area of a pixel.
 
-**The predicate.** Sky light is ``albedo * sky * share``. To hide a part ``h`` of it takes ``albedo * sky * h`` at most off linear
-colour. In sRGB, which is near a root, that shows the more, the brighter what the sky alone lights is (the root of ``L`` falls by
-``h L^(1/2.4) / 2.4``), and less under further light, which lifts the colour to where the curve is flatter. So what changes most is
-the brightest ground in shadow. All shades up to it are encoded as a picture's are, with and without ``h``.
+**Predicate.** Sky light is ``albedo * sky * share``. If a part ``h`` of the sky is hidden, the linear colour falls by at most
+``albedo * sky * h``. sRGB is close to a root function: the root of ``L`` falls by ``h L^(1/2.4) / 2.4``. The change is therefore
+larger for brighter surfaces that only the sky lights. Further light reduces it, since the curve is flatter for brighter colours.
+The brightest ground in shadow thus changes most. The predicate encodes all shades up to that one, with and without ``h``.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from skugga.terrain.shading_loops import dusk_of
 from skugga.terrain.style import tint_table
 
 COMPARED_SHADES = 4096
-"""Shades that are compared, from black to the brightest: as many as the table of sRGB has in all."""
+"""Number of compared shades from black to the brightest, equal to the size of the whole sRGB table."""
 
 
 NODES_BESIDE = 4
-"""Nodes beside a map's rim that it may be mixed from, those of a level of the pyramid that is twice as coarse among them."""
+"""Margin of nodes beyond a map's edge that interpolation may read, including those of the next coarser pyramid level."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out where what ground hides of the sky moves no channel by more than a step."""
+    """Return the verdict. It is no if the hidden part of the sky changes no channel by more than a step."""
     facts = descriptor.facts["sky_view"]
     if not facts:
-        return Verdict(False, "no sky of another celestial body is known")
+        return Verdict(False, "the light of the sky is only known on the Earth")
     hidden, steps = facts["hidden"], facts["steps"]
     assert isinstance(hidden, float) and isinstance(steps, float)
     if hidden == 0.0:
@@ -52,8 +52,10 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """``hidden``: the largest share of the sky that ground hides from any of it that a map shows (as its pixels do) or where a view
-    looks; ``steps``: by how many steps of 255 that darkens the brightest ground in shadow. Nothing off the earth.
+    """Return the facts of the sky view. The result is empty for other celestial bodies than the Earth.
+
+    - ``hidden``: maximum share of the sky that ground hides from any visible ground. A map uses means over its pixels.
+    - ``steps``: number of steps of 255 by which this darkens the brightest ground in shadow.
     """
     if not scene.world.on_earth:
         return {}
@@ -69,7 +71,7 @@ def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView
 
 
 def _largest_shown(scene: Scene, view: MapView, baked: SkyView) -> float:
-    """The largest share hidden from what a map shows, and from the nodes that it is mixed from there."""
+    """Return the maximum hidden share of the sky in a map, including the nodes that its pixels are interpolated from."""
     cells, (means, table) = visible_cells(scene.elevation, view), baked.means
     if cells is None:
         return 0.0
@@ -80,13 +82,16 @@ def _largest_shown(scene: Scene, view: MapView, baked: SkyView) -> float:
 
 
 def darkened_steps(light: float, hidden: float) -> int:
-    """The most steps of 255 by which any linear colour up to ``light`` falls when the share ``hidden`` is taken off it."""
+    """Return the maximum number of steps of 255 by which the share ``hidden`` darkens any linear colour up to ``light``."""
     shades = np.linspace(0.0, light, COMPARED_SHADES)
     return int((srgb_encoded(shades).astype(int) - srgb_encoded(shades * (1.0 - hidden))).max())
 
 
 def brightest(scene: Scene, view: MapView | PerspectiveView) -> float:
-    """The brightest linear colour of ground under the whole sky alone: of tints, or of white where a level shows other things."""
+    """Return the maximum linear colour of a surface that only the whole sky lights.
+
+    The albedo is the brightest tint, or white if the level has objects, imagery or snow.
+    """
     level = scene.loaded.level
     plain = scene.objects.kinds == ("relief",) and level.terrain.imagery is None and not level.weather.snow
     tints = tint_table(scene.style.ramp, scene.style.has_climate).reshape(-1, 3)
@@ -97,18 +102,21 @@ def brightest(scene: Scene, view: MapView | PerspectiveView) -> float:
 
 
 def _times_halved(scene: Scene, view: MapView, baked: SkyView) -> float:
-    """How often nodes are to be joined by two until they are as far apart as a map's pixels."""
+    """Return the pyramid level, as a fraction, at which the nodes are as far apart as a map's pixels."""
     return max(float(np.log2(map_pixel_m(scene.world, view) / baked.node_m)), 0.0)
 
 
 def _level(values: np.ndarray, table: np.ndarray, number: int) -> np.ndarray:
-    """A level (rows, cols) of a pyramid, its last one beyond."""
+    """Return a level (rows, cols) of a pyramid. Numbers beyond the last level give the last level."""
     begin, rows, cols = table[min(number, len(table) - 1)]
     return values[begin : begin + rows * cols].reshape(rows, cols)
 
 
 def _largest_seen(baked: SkyView, coarse_view: CoarseView) -> float:
-    """The largest share hidden from what a perspective view shows: round each point that is looked at, as far as its neighbours."""
+    """Return the maximum hidden share of the sky in a perspective view.
+
+    The search radius around each point of the coarse view is the distance to its neighbours.
+    """
     buffer = coarse_view.buffer
     if not buffer.there.any():
         return 0.0
@@ -117,7 +125,7 @@ def _largest_seen(baked: SkyView, coarse_view: CoarseView) -> float:
     for axis in (0, 1):
         apart = np.linalg.norm(np.diff(nodes, axis=axis), axis=-1)
         before, after = (np.insert(apart, position, np.nan, axis=axis) for position in (0, apart.shape[axis]))
-        # The nearer of two neighbours: across a skyline the other one lies in another valley.
+        # Use the nearer of two neighbours, since the other one may lie beyond a skyline, in another valley.
         reach = np.fmax(reach, np.fmin(before, after))
     highest, table = baked.highest
     known = buffer.there & np.isfinite(nodes[..., 0])
@@ -126,7 +134,7 @@ def _largest_seen(baked: SkyView, coarse_view: CoarseView) -> float:
 
 @compiled
 def _highest_round(values, table, nodes, reach):
-    """The largest value of a pyramid of maxima within a reach of any of some nodes: in 3 x 3 cells that are as wide as it."""
+    """Return the maximum of a pyramid of maxima within a radius of any node: over 3 x 3 cells that are as wide as the radius."""
     largest = 0.0
     for n in range(len(nodes)):
         number = min(max(int(np.ceil(np.log2(max(reach[n], 1.0)))), 0), len(table) - 1)
@@ -140,7 +148,7 @@ def _highest_round(values, table, nodes, reach):
 
 
 def apply_sky_view(skylight: np.ndarray, block: ShadingBlock) -> None:
-    """Take from each point's share of the sky what ground hides there."""
+    """Multiply the sky light of each point by its sky-view factor."""
     skylight *= _left_of_sky(block)
 
 
@@ -150,7 +158,7 @@ def _made_from(block: ShadingBlock) -> tuple[object, ...]:
 
 @cached("scene", 64 * MIB, key=_made_from, most=1)
 def _left_of_sky(block: ShadingBlock) -> np.ndarray:
-    """The share of the sky (rows, cols) float64 that ground leaves: the same under any sun."""
+    """Return the sky-view factor of each pixel (rows, cols), float64. It does not depend on the sun."""
     buffer, scene = block.buffer, block.scene
     baked = sky_view(scene.elevation, scene.world)
     eye, tangent, width_m = pixel_size(block)
@@ -164,7 +172,10 @@ def _left_of_sky(block: ShadingBlock) -> np.ndarray:
 
 @compiled
 def _hide(first, last, out, nodes, position, values, table, eye, tangent, width):
-    """``tangent`` and ``width`` are a pixel's width at the distance 1, and at any distance, in nodes."""
+    """Write the sky-view factors of some rows.
+
+    Pixels are ``tangent`` nodes wide at distance 1 in perspective, or ``width`` nodes wide in a map.
+    """
     level = finest = pyramid_level(table, width)
     for i in range(first, last):
         for j in range(out.shape[1]):

@@ -1,4 +1,4 @@
-"""Snow: white wherever it lies, on ground and roofs that are not too steep for it, and on the upper sides of crowns."""
+"""Snow cover: white albedo on ground and roofs that are not too steep, and on the upper sides of crowns."""
 
 from __future__ import annotations
 
@@ -18,24 +18,23 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.shading import SHORE_M
 
 SNOW, ROCK = (0.84, 0.86, 0.90), (0.23, 0.20, 0.17)
-"""Linear albedos of snow that has settled, and of the rock and scree that steep ground shows."""
+"""Linear albedos of settled snow, and of the rock and scree on steep ground."""
 
 HELD_DEG, BARE_DEG = 38.0, 52.0
-"""Slopes up to which all snow holds, and from which on none does; most avalanches start between 30 and 45 degrees."""
+"""Slopes below which all snow stays and above which none does. Most avalanches start between 30 and 45 degrees."""
 
 ROUGH_DEG, ROUGH_M, SNOW_OCTAVES, SNOW_SEED = 6.0, 90.0, 3, 29
-"""Noise on the slope, so that the snow's edge is no contour line: its amplitude, and the wavelength of its coarsest octave."""
+"""Noise added to the slope, so that the snow's edge is irregular: amplitude, coarsest wavelength, octaves, seed."""
 
 DUSTED, CROWN_TOP = 0.6, (0.7, 1.1)
-"""Share of white on top of a crown; how upright its rounded outside is where that begins, and where
-all of it would be."""
+"""Share of snow on top of a crown, and the cosines of its normal between which the share rises from 0 to this maximum."""
 
 CLUMPS, CLUMP_M = 0.3, 0.9
-"""Noise on that, so that twigs show between clumps of snow: its amplitude, and the wavelength of its coarsest octave."""
+"""Noise added to that cosine, so that twigs show between clumps of snow: amplitude, and coarsest wavelength in metres."""
 
 
 def apply_snow(albedo: np.ndarray, block: ShadingBlock) -> None:
-    """Whiten what snow lies on, and lay bare the rock where it slid off."""
+    """Blend the albedo towards snow, and show rock where snow slid off."""
     buffer, scene = block.buffer, block.scene
     if not scene.loaded.level.weather.snow:
         return
@@ -77,7 +76,7 @@ def _lie_on(albedo, shown, own, centre, anchor_from_frame, water_m, size):
 
 @compiled
 def _held(slope_deg, x_m, y_m, pixel_m):
-    """Share of the snow that a slope holds."""
+    """Return the share of snow that stays on a slope."""
     if HELD_DEG - 2.0 * ROUGH_DEG < slope_deg < BARE_DEG + 2.0 * ROUGH_DEG:
         slope_deg += ROUGH_DEG * _rough(x_m, y_m, ROUGH_M, pixel_m)
     return 1.0 - smoothstep_of((slope_deg - HELD_DEG) / (BARE_DEG - HELD_DEG))
@@ -85,7 +84,7 @@ def _held(slope_deg, x_m, y_m, pixel_m):
 
 @internal
 def _dusted(upright, x_m, y_m, height_m, pixel_m):
-    """Share of snow on a crown, at a point of its outside that is so upright."""
+    """Return the share of snow on a crown, at a point where the cosine between normal and vertical is ``upright``."""
     if upright > CROWN_TOP[0] - 2.0 * CLUMPS:
         upright += CLUMPS * (_rough(x_m, height_m, CLUMP_M, pixel_m) + _rough(height_m, y_m, CLUMP_M, pixel_m))
     return DUSTED * smoothstep_of((upright - CROWN_TOP[0]) / (CROWN_TOP[1] - CROWN_TOP[0]))
@@ -93,13 +92,13 @@ def _dusted(upright, x_m, y_m, height_m, pixel_m):
 
 @internal
 def _rough(x_m, y_m, wave_m, pixel_m):
-    """Noise about -1 to 1, fixed to the ground; it goes where pixels are as wide as its waves."""
+    """Return noise of about -1 to 1, fixed to the ground. It fades out as pixels become as wide as its waves."""
     share = min(max(2.0 - 2.0 * pixel_m / wave_m, 0.0), 1.0)
     return share * fractal_at(x_m / wave_m, y_m / wave_m, SNOW_OCTAVES, SNOW_SEED) if share > 0.0 else 0.0
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out without snow, and where there is nothing that it could lie on."""
+    """Return the verdict. It is no without snow, and without a visible surface for it."""
     facts = descriptor.facts["snow"]
     if not facts["lies"]:
         return Verdict(False, "the level sets no snow")
@@ -109,7 +108,12 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """``lies``: whether there is snow; ``on``: whether there is anything for it, and if not, ``why``."""
+    """Return the facts of snow.
+
+    - ``lies``: whether the level has snow.
+    - ``on``: whether any visible surface can carry snow.
+    - ``why``: the reason if none can, or ``None``.
+    """
     level = scene.loaded.level
     why = None
     if level.water is not None and scene.objects.kinds == ("relief",) and scene.height_range_m[1] <= scene.elevation.water_m:

@@ -1,6 +1,7 @@
-"""Soft edges: where the penumbra of the sun's disc (0.53 degrees) is a pixel wide somewhere, shadow maps filter their edges.
+"""Soft edges: shadow maps filter their edges if a penumbra of the sun's disc (0.53 degrees) may be a pixel wide.
 
-How wide depends on how far a shadow is thrown: at most as far as the level's relief and what stands on it throw it.
+The width of a penumbra is proportional to the distance between occluder and receiver. The maximum distance follows from the longest
+shadow of the level's relief and of the objects on it.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 
 DISC = float(2.0 * np.radians(SUN_RADIUS_DEG))
-"""The sun's diameter, radians: the penumbra's width as a share of the distance from caster to receiver, across the light."""
+"""Angular diameter of the sun, radians: width of the penumbra, perpendicular to the light, per distance of caster and receiver."""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out where every penumbra is narrower than a pixel."""
+    """Return the verdict. It is no if every penumbra is narrower than a pixel."""
     if descriptor.sun_altitude_deg is None:
-        return Verdict(False, "no sun in the level")
+        return Verdict(False, "the level has no sun")
     wide_m = penumbra_m(descriptor)
     pixel_m = descriptor.pixel_m
     if descriptor.bands and descriptor.pixel is not None:
@@ -31,7 +32,10 @@ def called_for(descriptor: Descriptor) -> Verdict:
 
 
 def penumbra_m(descriptor: Descriptor) -> float:
-    """The widest penumbra on level ground, metres: that of the longest shadow, drawn out by the sun's altitude."""
+    """Return the maximum width of a penumbra on level ground, metres.
+
+    It is the width at the end of the longest shadow, stretched by the sine of the sun's altitude.
+    """
     assert descriptor.sun_altitude_deg is not None
     sine = np.sin(np.radians(max(descriptor.sun_altitude_deg, 0.5)))
     along_m = longest_shadow_m(descriptor.relief_m + descriptor.tallest_m, descriptor.sun_altitude_deg, not descriptor.flat_world)

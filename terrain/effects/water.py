@@ -1,19 +1,20 @@
-"""Standing water mirrors the sky, and the sun in a path of glint: a plane with the waves of a light wind.
+"""Standing water: a plane with the waves of a light wind, which reflects the sky and the glint of the sun.
 
-Slopes of the waves are Gaussian, the same in all directions (C. Cox, W. Munk, Measurement of the roughness of the sea surface from
-photographs of the sun's glitter, 1954: mean square 0.003 + 0.00512 times the wind in m/s). Facets hide each other as in B. Smith
-(Geometrical shadowing of a random rough surface, 1967): of the facets with a slope z towards an eye at the zenith angle t,
-(cos t + z sin t)+ is seen, together ``A(t) = cos t N(a) + s sin t n(a)``, a = cot t / s, with the normal distribution N, its
-density n and the slopes' standard deviation s in one direction. The mean slope seen is ``s**2 sin t N(a) / A(t)`` (C. Stein's
-lemma): near the horizon one looks at the fronts of waves, which mirror the sky well above it.
+**Waves.** Wave slopes have an isotropic Gaussian distribution with a mean square of 0.003 + 0.00512 times the wind in m/s (C. Cox,
+W. Munk, Measurement of the roughness of the sea surface from photographs of the sun's glitter, 1954). Facets hide each other as in
+B. Smith (Geometrical shadowing of a random rough surface, 1967). For an eye at the zenith angle t, facets with a slope z towards it
+have the visible area (cos t + z sin t)+. Over all slopes this is ``A(t) = cos t N(a) + s sin t n(a)`` with a = cot t / s. N is the
+normal distribution, n its density, and s the standard deviation of slopes in one direction. The mean visible slope is
+``s**2 sin t N(a) / A(t)`` (C. Stein's lemma). Near the horizon the eye sees the fronts of waves, which reflect the sky well above
+the horizon.
 
-- Sky: the colour where the mean facet seen mirrors to, times Schlick's Fresnel share averaged over the waves (E. Bruneton,
-  F. Neyret, N. Holzschuch, Real-time realistic ocean lighting, 2010).
-- Sun: with the irradiance E, Schlick's Fresnel share F of the facet that mirrors the sun into the eye, its tilt b and the slopes'
-  mean square m = 2 s**2, water is as bright as a white diffuser under the irradiance
+- Sky: the colour of the sky in the direction that the mean visible facet reflects, times Schlick's Fresnel reflectance averaged
+  over the waves (E. Bruneton, F. Neyret, N. Holzschuch, Real-time realistic ocean lighting, 2010).
+- Sun: E is the irradiance, F Schlick's Fresnel reflectance of the facet that reflects the sun into the eye, b the tilt of this
+  facet and m = 2 s**2 the mean square of the slopes. Water is as bright as a white diffuser under the irradiance
   ``E F exp(-tan(b)**2 / m) / (m cos(b)**4) cos(t_sun) / (4 A(t_eye) A(t_sun))``.
 
-Mirror images of the terrain and of lamps are not simulated: the sky is there in their place.
+Reflections of the terrain and of lamps are not simulated. The water shows the sky instead.
 """
 
 from __future__ import annotations
@@ -46,32 +47,37 @@ WIND_M_S = 3.0
 MEAN_SQUARE_SLOPE = 0.003 + 0.00512 * WIND_M_S
 
 NORMAL_FRESNEL = 0.02
-"""Fresnel share of what is looked at along its normal: ((n - 1) / (n + 1))**2 for n = 1.333."""
+"""Fresnel reflectance at normal incidence: ((n - 1) / (n + 1))**2 for n = 1.333."""
 
 MOST_PIXELS = 2_000_000
-"""Pixels that are drawn at the most to see whether there is water between a look's points; else it is taken to be there."""
+"""Maximum number of pixels drawn in the search for water between the points of a coarse view. Beyond it, water is assumed."""
 
 MAX_CELLS_READ = 2**18
-"""Cells of a map that are read at the most to see whether any is wet."""
+"""Maximum number of a map's cells that are read in the search for water."""
 
 OPEN_SKY = 0.5
-"""Share of the sky that the most enclosed water is taken to see, at least."""
+"""Assumed sky-view factor of the most enclosed water."""
 
 SHADES, ANGLES = 128, 32
-"""Colours of water, and angles under which it is seen, that are tried. The colours lie closest near black, where the entries of the
-table that encodes them are 0.8 of an 8-bit step apart: there all are met that a dark lake may have.
+"""Number of tested water colours and viewing angles.
+
+The colours are densest near black, where entries of the encoding table are 0.8 of an 8-bit step apart. There they cover all colours
+of a dark lake.
 """
 
 GLINT = 0.5 / 255.0 / 12.92
-"""Linear light that cannot be seen, even on black: half a step where sRGB is steepest."""
+"""Maximum linear light that is invisible even on black: half a step at the steepest part of sRGB."""
 
 GLINT_DIRECTIONS = 33
-"""Directions along a side of a perspective view in which glint is looked for. Glint is half as bright 4 degrees off its middle, and
-of what lies between two directions the farthest is one degree off in a field of view of 60."""
+"""Number of directions along each side of a perspective view that are tested for glint.
+
+Glint falls to half its brightness 4 degrees off its centre. In a field of view of 60 degrees no direction is more than one degree
+from a tested one.
+"""
 
 
 def called_for(descriptor: Descriptor) -> Verdict:
-    """Left out without water, with none in view, and where the sky that it mirrors is as dark as the water itself."""
+    """Return the verdict. It is no without water in view, and if the reflected sky is as dark as the water itself."""
     facts = descriptor.facts["water"]
     level_m, change = number(facts["level_m"]), number(facts["change_steps"])
     if level_m is None:
@@ -81,16 +87,20 @@ def called_for(descriptor: Descriptor) -> Verdict:
     if change is None:
         return Verdict(False, f"the water at {level_m:.1f} m is out of view")
     if change <= 1:
-        return Verdict(False, f"reflections change the water's colour by at most {change:.0f} of 255")
+        return Verdict(False, f"reflections change the water's colour by at most {change:.0f} of 255 steps")
     mirrored = "the sky and the sun" if facts["glint"] else "the sky"
-    return Verdict(True, f"water at {level_m:.1f} m reflects {mirrored}: up to {change:.0f} of 255")
+    return Verdict(True, f"water at {level_m:.1f} m reflects {mirrored}: up to {change:.0f} of 255 steps")
 
 
 def facts(scene: Scene, view: MapView | PerspectiveView, coarse_view: CoarseView | None) -> dict[str, Fact]:
-    """``level_m`` of the water, whether it ``covers`` any ground, by how many 8-bit steps the sky in it changes a colour at the
-    most (``change_steps``; ``None``: nothing of it can be seen), and whether the mirrored sun can reach the eye (``glint``).
+    """Return the facts of water.
 
-    Of a map those cells count that it shows, joined as it joins them.
+    - ``level_m``: height of the water, metres; ``None`` without water.
+    - ``covers``: whether it covers any ground.
+    - ``change_steps``: maximum number of 8-bit steps by which the reflected sky changes a colour; ``None`` if no water is visible.
+    - ``glint``: whether glint of the sun can be visible.
+
+    In a map only the visible cells count, at the overview level that the map uses.
     """
     water_m = scene.elevation.water_m
     if scene.loaded.level.water is None:
@@ -113,7 +123,10 @@ def _wet_at(scene: Scene, view: MapView) -> bool:
 
 @cached("scene", MIB)
 def _wet_in(elevation: Elevation, level: int, cells: CellRange) -> bool:
-    """Whether any of a raster's cells that are shown lies under water, read at a level; of too many, it is taken to."""
+    """Return whether any visible cell of a raster lies under water, read at an overview level.
+
+    Too many cells are not read. The result is then conservative: it may be true without water.
+    """
     side = 2**level
     shown = block_slices(cells, side, tuple(-(-count // side) for count in elevation.shape), 1)
     if np.prod([rows.stop - rows.start for rows in shown]) > MAX_CELLS_READ:
@@ -126,9 +139,10 @@ def _wet_in(elevation: Elevation, level: int, cells: CellRange) -> bool:
 
 
 def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
-    """Cosines (n,) of the zenith angles under which water may be seen, less the way to a look's next point; none if none is seen.
+    """Return the cosines (n,) of the zenith angles at which water is visible, reduced by the spacing of the coarse view.
 
-    Where a look's points show no water, it may lie between them: then those pixels are drawn where its nodes would be seen.
+    If no point of the coarse view shows water, there may be water between the points. In that case the pixels around possibly
+    visible nodes under water are drawn. The result is empty if no water is visible.
     """
     buffer, eye = coarse_view.buffer, coarse_view.eye_frame_m
     points = buffer.position_frame_m[water_in(buffer, scene)]
@@ -142,7 +156,10 @@ def _cosines(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np
 
 
 def _between(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np.ndarray:
-    """Nodes (n, 3) of the ground under water that are no farther than what a look shows beside them, if water is drawn there."""
+    """Return the ground's nodes under water (n, 3) that lie no farther than the coarse view's points beside them.
+
+    The pixels around these nodes are drawn. The result is empty if none of them shows water.
+    """
     from scipy.ndimage import maximum_filter
 
     buffer, ground = coarse_view.buffer, coarse_view.buffer.ground
@@ -178,10 +195,10 @@ def _between(scene: Scene, view: PerspectiveView, coarse_view: CoarseView) -> np
 
 
 def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.ndarray) -> int:
-    """By how many 8-bit steps the mirrored sky changes water at the most, seen under zenith angles of these cosines (n,).
+    """Return the maximum number of 8-bit steps by which the reflected sky changes water, for some cosines of zenith angles (n,).
 
-    Tried on colours from the darkest that water may have (in shadow, half the sky hidden) to the brightest (in the sun and the
-    light of all lamps), with the loop that draws.
+    The tested colours range from the darkest possible water (in shadow, half of the sky hidden) to the brightest (in the light of
+    the sun and all lamps). The test uses the same loop as rendering.
     """
     light, night = daylight_of(scene), night_of(scene)
     sine = -1.0 if scene.sun is None else np.sin(np.radians(scene.sun.altitude_deg))
@@ -194,11 +211,11 @@ def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.nda
     cosine = np.quantile(cosines, np.linspace(0.0, 1.0, ANGLES))
     shown = (dark + (bright - dark) * np.linspace(0.0, 1.0, SHADES)[:, None, None] ** 2).astype(np.float32)
     shown = np.ascontiguousarray(np.broadcast_to(shown, (SHADES, ANGLES, 3)))
-    # Points on a sphere round the eye, above a plane that is level.
+    # Points on a sphere around the eye, above a horizontal plane.
     eye = np.stack([np.sqrt(1.0 - cosine**2), np.zeros_like(cosine), cosine], axis=-1)
     points = np.ascontiguousarray(np.broadcast_to(-eye, shown.shape))
     there, below, most = np.ones(shown.shape[:2], bool), np.array([0.0, 0.0, -1e12]), 0
-    # The sky's colour goes one way from below the sun to the opposite side.
+    # The sky's colour is monotonic from below the sun to the opposite side, so both ends suffice.
     for to_sun in (np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])):
         color = shown.copy()
         _mirror(color, there, points, np.zeros(3), below, sky_of(scene), MEAN_SQUARE_SLOPE, to_sun, None, None)
@@ -207,7 +224,7 @@ def _change_steps(scene: Scene, view: MapView | PerspectiveView, cosines: np.nda
 
 
 def _lamplight(scene: Scene) -> np.ndarray:
-    """Irradiance (3,) that all lamps have together on water right below them: no more arrives."""
+    """Return an upper bound of the irradiance (3,) of all lamps on water: their sum directly below each lamp."""
     exposure = exposure_of(None if scene.sun is None else scene.sun.altitude_deg)
     total = np.zeros(3)
     for lamp in scene.lamps.values():
@@ -217,7 +234,7 @@ def _lamplight(scene: Scene) -> np.ndarray:
 
 
 def glints(scene: Scene, view: MapView | PerspectiveView) -> bool:
-    """Whether the sun that water mirrors can reach the eye: whether any direction of view shows more of it than nothing."""
+    """Return whether glint of the sun can be visible in any direction of a view."""
     if not scene.sun_is_up or scene.sun is None:
         return False
     if isinstance(view, MapView):
@@ -240,7 +257,7 @@ def glints(scene: Scene, view: MapView | PerspectiveView) -> bool:
 
 
 def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
-    """Put the mirrored sky, and the sun's glint where it can be seen, over the water's own colour."""
+    """Blend the water's own colour with the reflected sky, and add the sun's glint if it can be visible."""
     buffer, scene, view = block.buffer, block.scene, block.view
     eye = None if isinstance(view, MapView) else view.in_frame(buffer.frame)[0]
     to_sun = np.zeros(3) if scene.sun is None else scene.sun.in_frame(buffer.frame)
@@ -255,7 +272,7 @@ def apply_water(color: np.ndarray, block: ShadingBlock) -> None:
 
 @compiled
 def _seen_facets(cosine, square):
-    """Area of the facets seen under a zenith angle, per area of the plane, and their mean slope towards the eye."""
+    """Return the visible area of facets at a zenith angle, per area of the plane, and their mean slope towards the eye."""
     sine, deviation = np.sqrt(max(1.0 - cosine * cosine, 1e-12)), np.sqrt(0.5 * square)
     a = cosine / (deviation * sine)
     share = 0.5 * (1.0 + erf(a * np.sqrt(0.5)))
@@ -265,7 +282,7 @@ def _seen_facets(cosine, square):
 
 @internal
 def _sky_in(cosine, square):
-    """Of the sky in water under a zenith angle: its Fresnel share, the sine of the altitude it is seen at, the facets' area."""
+    """Return the Fresnel reflectance at a zenith angle, the sine of the reflected sky's altitude, and the area of the facets."""
     area, slope = _seen_facets(cosine, square)
     deviation = np.sqrt(0.5 * square)
     grazing = (1.0 - cosine) ** (5.0 * np.exp(-2.69 * deviation)) / (1.0 + 22.7 * deviation**1.5)
@@ -275,15 +292,16 @@ def _sky_in(cosine, square):
 
 @compiled
 def _glint(eye_up, sun_up, eye_sun, area, square):
-    """Glint per irradiance at normal incidence, from the cosines between eye, sun and up; ``area`` of the facets the eye sees.
+    """Return the glint per irradiance at normal incidence, from the cosines between eye, sun and up.
 
-    Over the first degree of the sun's altitude it fades in, as direct light does.
+    ``area`` is the area of the facets that the eye sees. Glint fades in over the first degree of the sun's altitude, like direct
+    light.
     """
     if sun_up <= 0.0:
         return 0.0
     both = np.sqrt(max(2.0 + 2.0 * eye_sun, 1e-12))  # the length of eye + sun, whose direction is the facet's normal
     tilt = min((eye_up + sun_up) / both, 1.0)
-    if (1.0 / (tilt * tilt) - 1.0) > 25.0 * square:  # so steep that 1e-11 of the waves are
+    if (1.0 / (tilt * tilt) - 1.0) > 25.0 * square:  # only 1e-11 of the waves are so steep
         return 0.0
     fresnel = NORMAL_FRESNEL + (1.0 - NORMAL_FRESNEL) * (1.0 - min(0.5 * both, 1.0)) ** 5
     slopes = np.exp((1.0 - 1.0 / (tilt * tilt)) / square) / (square * tilt**4)
@@ -306,8 +324,8 @@ def _largest_glint(to_eye, up, to_sun, square):
 
 @compiled
 def _mirror(color, water, position, eye, centre, sky, square, to_sun, sun, visibility):
-    # What is None is decided when this is compiled: an eye straight above, infinitely far; no glint. The light round the sun is the
-    # glint's: of the sky itself waves show what lies behind it.
+    # The tests for None are resolved at compile time. No eye means a view from infinitely far above, no sun means no glint. The
+    # reflected sky has no glow around the sun, since the glint replaces it.
     below_sun, opposite, zenith, glow, _, fall, altitude = sky
     plain = (below_sun, opposite, zenith, glow, 0.0, fall, altitude)
     fresnel, sine, area = _sky_in(1.0, square)
@@ -345,7 +363,7 @@ def _mirror(color, water, position, eye, centre, sky, square, to_sun, sun, visib
                 if sun is not None:
                     if glint > 0.0:
                         white = max(sun[k] / max(sun[0], sun[1], sun[2]), shown)
-                        # A little adds up, and a path that is fifty times brighter than the land keeps its form.
+                        # Weak glint is added linearly. Glint fifty times brighter than the land is compressed and keeps its shape.
                         shown += (white - shown) * (1.0 - 1.0 / np.sqrt(1.0 + 2.0 * glint * sun[k]))
                 color[i, j, k] = shown
 

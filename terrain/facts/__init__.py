@@ -1,1 +1,1 @@
-"""The facts that choices are made from: the type ``Descriptor``, and what measures its parts on a scene and a view."""
+"""Scene and view facts on which the choice of algorithms is based: the type ``Descriptor`` and the functions that measure it."""

@@ -1,4 +1,4 @@
-"""Scene and view -> what there is that casts, kind by kind."""
+"""Measure the shadow casters of a scene and a view: one ``CasterFacts`` for each kind."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from skugga.terrain.scene_objects import SceneObjects
 from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
 TREE_TRIANGLES = 6
-"""Triangles of a tree: three quads."""
+"""A tree is three quads."""
 
 
 def caster_facts_of(scene: Scene, view: MapView | PerspectiveView, trees: TreeInstances | None) -> tuple[CasterFacts, ...]:
-    """The facts of each kind of casters that there is, trees as the view draws them."""
+    """Return the facts of each kind of casters in a scene. Trees are counted as the view draws them."""
     objects, found = scene.objects, [_relief(scene, view)]
     if objects.solids is not None:
         found.append(_meshes(objects))
@@ -34,7 +34,7 @@ def caster_facts_of(scene: Scene, view: MapView | PerspectiveView, trees: TreeIn
 
 
 def trees_of(scene: Scene, view: MapView | PerspectiveView) -> TreeInstances | None:
-    """The trees as a view draws them, those of a map in the frame at the anchor; ``None`` where the level has none."""
+    """Return the trees as a view draws them, or ``None`` if the level has none. A map uses the local frame at the anchor."""
     if isinstance(view, PerspectiveView):
         return tree_instances_in_perspective(scene.objects, view.frame(scene.world), tuple(view.eye_earth_m), view.focal_px)
     frame = scene.world.frame_near_earth(scene.world.anchor_earth_m)
@@ -52,9 +52,10 @@ def _relief(scene: Scene, view: MapView | PerspectiveView) -> CasterFacts:
 
 
 def _outside_triangles(scene: Scene, node_m: float, rows: float, cols: float) -> int:
-    """Triangles of patches of ground between a block of nodes and the sun, as ``skugga.terrain.casters.reach`` lays them: as wide
-    as the block and a patch's margin, as long as the level's relief throws shadows, coarser by half at each doubling of the
-    distance.
+    """Estimate the number of triangles of the ground patches between a block and the sun.
+
+    ``skugga.terrain.casters.reach`` lays out these patches. They are as wide as the block plus the margin of a patch, and as long
+    as the longest shadow of the level's relief. Their resolution halves at each doubling of the distance.
     """
     if not scene.sun_is_up or scene.light is None or np.ptp(scene.height_range_m) <= 0.0:
         return 0
@@ -85,7 +86,7 @@ def _meshes(objects: SceneObjects) -> CasterFacts:
 
 @cached("scene", MIB)
 def _forest(trees: TreeInstances) -> CasterFacts:
-    """The facts of trees as drawn: where they are thinned out, what is left is larger."""
+    """Return the facts of the trees as drawn. Where trees are decimated, the remaining ones are larger."""
     sizes = np.median(trees.shape, axis=0) if len(trees) else np.zeros(4)
     gaps = leaf_gaps()[2 * trees.variant] * trees.shape[:, 2] if len(trees) else np.zeros(1)
     return CasterFacts(
@@ -96,8 +97,9 @@ def _forest(trees: TreeInstances) -> CasterFacts:
 
 @cached("process", MIB)
 def leaf_gaps() -> np.ndarray:
-    """For each picture of a tree (2 * looks,) the mean length of runs of leaf and of gap along its rows within the tree's outline,
-    as a share of the picture's side.
+    """Return the mean width of leaves and gaps in each texture of a tree, shape (2 * looks,), as a share of the texture's side.
+
+    The width is the mean length of runs of leaf texels and of gap texels along the rows, within the outline of the tree.
     """
     means = []
     for alpha in foliage().levels[0][..., 3]:
@@ -111,7 +113,10 @@ def leaf_gaps() -> np.ndarray:
 
 @cached("scene", MIB)
 def slopes_deg(world: World, elevation: Elevation) -> tuple[float, float, float]:
-    """Mean, 95th percentile and largest slope of the overview's ground between neighbouring cells, degrees; 0 without any."""
+    """Return the mean, 95th percentile and maximum slope between neighbouring cells of the overview, in degrees.
+
+    All three are 0 if the overview has no neighbouring cells with data.
+    """
     cell_m = elevation.cell_size_m(world.metres_per_unit) * 2**elevation.overview.level
     heights = elevation.overview.heights_m.astype(np.float64)
     if min(heights.shape) < 2:
@@ -122,5 +127,5 @@ def slopes_deg(world: World, elevation: Elevation) -> tuple[float, float, float]
     slope = slope[np.isfinite(slope)]
     if not slope.size:
         return 0.0, 0.0, 0.0
-    most = float(slope.max())  # of slopes that are all the same the mean is rounded
+    most = float(slope.max())  # an upper bound: the mean of equal slopes may exceed them by rounding
     return min(float(slope.mean()), most), min(float(np.percentile(slope, 95)), most), most

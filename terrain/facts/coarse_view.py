@@ -1,12 +1,12 @@
-"""A coarse look at a perspective view: which triangle shows in every few pixels, without OpenGL.
+"""Coarse software rasteriser of a perspective view: the visible triangle in every few pixels, without OpenGL.
 
-Pixels are few and triangles many, most of them smaller than the way between two pixels: what takes time elsewhere, handing all of
-them to a rasteriser, is left out here. A pixel's ray r meets a triangle a, b, c (all in the camera's axes) where r . (b x c),
-r . (c x a) and r . (a x b) have one sign; no corner need lie before the eye (M. Olano, T. Greer 1997, "Triangle scan conversion
-using 2D homogeneous coordinates").
+There are few pixels and many triangles, and most triangles are smaller than the spacing of the pixels. The rasteriser therefore
+tests rays in place and saves the time of sending all triangles to OpenGL. A pixel's ray r hits a triangle a, b, c (all in camera
+axes) if r . (b x c), r . (c x a) and r . (a x b) have the same sign. No corner needs to be in front of the eye (M. Olano, T. Greer
+1997, "Triangle scan conversion using 2D homogeneous coordinates").
 
-The same pass looks through the pixels of the view itself that lie beside each of these: whether something ends in a pixel hangs on
-its neighbours in the full picture, not on those of the coarse one.
+The same pass also samples the neighbours of each pixel in the full picture. Whether a pixel contains an edge depends on these
+neighbours and not on those of the coarse picture.
 """
 
 from __future__ import annotations
@@ -27,17 +27,28 @@ from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.scene import Scene
 
 COARSE_STEP_PX = 8
-"""Distance of the pixels from which a perspective view is described."""
+"""Spacing of the sampled pixels, in pixels of the view."""
 
 
 @dataclass(frozen=True, eq=False)
 class NeighbourSamples:
-    """Some pixels of a perspective view, each with the four beside it: what decides whether something ends in it, but for trees.
+    """Samples of some pixels of a perspective view and of their four neighbours: the input of edge detection, without trees.
 
-    ``row`` and ``col`` (n,) are the pixels; ``number`` (n, 5) uint32 the triangles seen in each and beside it, in the order of
-    ``skugga.terrain.gbuffer.antialias``, counted from 1 through the ground's (``ground`` of them) and the meshes', 0 where there is
-    none; ``away_m`` (n, 5) float64 how far away along the axis of the view, infinite where there is none; ``normals`` (m, 3)
-    float32 those of the meshes' faces.
+    Attributes
+    ----------
+    view
+        The perspective view at its full resolution.
+    row, col
+        The pixels (n,).
+    number
+        Visible triangle in each pixel and its neighbours (n, 5), uint32, in the order of ``CROSS``. Triangles are numbered from 1,
+        first those of the ground, then those of the meshes. 0 is no triangle.
+    away_m
+        Distance along the view axis (n, 5), float64, metres; infinite where no triangle is visible.
+    ground
+        Number of triangles of the ground.
+    normals
+        Normals of the mesh faces (m, 3), float32.
     """
 
     view: PerspectiveView
@@ -51,11 +62,26 @@ class NeighbourSamples:
 
 @dataclass(frozen=True, eq=False)
 class CoarseView:
-    """What a perspective view shows, coarsely: every few pixels, of everything but the trees.
+    """Coarse samples of a perspective view: the visible surface in every few pixels, without trees.
 
-    ``points_frame_m`` (n, 3) float64 are the points seen, ``away_m`` (n,) their distances from ``eye_frame_m``, ``height_m`` (n,)
-    their heights, ``spacing`` the angle (a tangent) between neighbours. ``edge_share`` is the share of the view's own pixels in
-    which something ends, ``crosses`` are some of those.
+    Attributes
+    ----------
+    buffer
+        Geometry buffer at the coarse resolution.
+    eye_frame_m
+        Position of the eye (3,), metres.
+    points_frame_m
+        Visible points (n, 3), float64, metres.
+    away_m
+        Distances of the points from the eye (n,), metres.
+    height_m
+        Heights of the points (n,), metres.
+    spacing
+        Angle between neighbouring samples, as a tangent.
+    edge_share
+        Share of the pixels of the full view that contain an edge.
+    crosses
+        Sampled pixels of the full view with their neighbours.
     """
 
     buffer: GeometryBuffer
@@ -70,7 +96,7 @@ class CoarseView:
 
 @dataclass(frozen=True, eq=False)
 class _Coarse:
-    """What ``skugga.terrain.gbuffer.picture`` resolves to points: as its ``RasterisedView``, without trees."""
+    """Input from which ``skugga.terrain.gbuffer.picture`` resolves points: like its ``RasterisedView``, without trees."""
 
     frame: LocalFrame
     ground: GroundMesh
@@ -80,20 +106,26 @@ class _Coarse:
 
 
 def _sight(scene: Scene, view: PerspectiveView) -> tuple[object, ...]:
-    """What a look goes by: what stands on the ground, and which way it is looked at, whatever the light."""
+    """Return the cache key of a coarse view: the objects of the scene and the camera. Light does not matter."""
     camera = (view.focal_px, view.row0, view.col0, view.step, view.rows, view.cols)
     return scene.objects, view.eye_earth_m.tobytes(), view.earth_from_camera.tobytes(), camera
 
 
 @cached("scene", 1024 * MIB, key=_sight)
 def coarse_view_of(scene: Scene, view: PerspectiveView) -> CoarseView:
-    """Everything but the trees in every ``COARSE_STEP_PX``-th pixel; in every one, if those show the sky alone."""
+    """Return the coarse view of a scene without trees, sampled every ``COARSE_STEP_PX`` pixels.
+
+    If these samples show only sky, every pixel is sampled.
+    """
     coarse_view = _look_every(scene, view, COARSE_STEP_PX)
     return coarse_view if len(coarse_view.points_frame_m) else _look_every(scene, view, 1, coarse_view.crosses)
 
 
 def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: NeighbourSamples | None = None) -> CoarseView:
-    """A look at every pixel is given the coarse one's crosses: its own would take much to keep."""
+    """Return the view sampled every ``px`` pixels.
+
+    A view of every pixel receives the ``crosses`` of the coarse one, since its own would need too much memory in the cache.
+    """
     coarse = replace(view, step=view.step * px, rows=-(-view.rows // px), cols=-(-view.cols // px))
     frame = view.frame(scene.world)
     ground, solids = ground_mesh(scene, coarse), solids_in(scene.objects, frame)
@@ -120,10 +152,11 @@ def _look_every(scene: Scene, view: PerspectiveView, px: int, crosses: Neighbour
 def nearest_triangles(
     view: PerspectiveView, frame: LocalFrame, meshes: list[tuple[np.ndarray, np.ndarray]], beside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The number of the nearest triangle through places beside each pixel, shares of pixels down and to the right (k, 2) from its
-    middle, and the distance along the axis of the view: (rows, cols, k) uint32, and float64, metres, infinite where there is none.
+    """Return the nearest triangle at k sample positions of each pixel, and its distance along the view axis.
 
-    Triangles are counted from 1 through meshes of vertices (n, 3) in a frame and triangles (m, 3).
+    The numbers have shape (rows, cols, k) and dtype uint32. The distances are float64 metres, infinite where no triangle is hit.
+    ``beside`` (k, 2) holds the sample offsets from the pixel's centre, down and to the right, in pixels. Each mesh is a pair of
+    vertices (n, 3) in ``frame`` and triangles (m, 3). Triangles are numbered from 1 through all meshes.
     """
     eye, camera_from_frame = view.in_frame(frame)
     number = np.zeros((view.rows, view.cols, len(beside)), np.uint32)
@@ -139,7 +172,7 @@ def nearest_triangles(
 
 @compiled
 def _projected(vertices, eye, rotation, tangents):
-    """Vertices (n, 3) in the camera's axes, and columns and rows (n, 2) of those ahead of the eye."""
+    """Return vertices (n, 3) in camera axes, and their columns and rows (n, 2), which are valid in front of the eye only."""
     at, pixel = np.empty((len(vertices), 3)), np.empty((len(vertices), 2))
     for n in range(len(vertices)):
         x, y, z = vertices[n, 0] - eye[0], vertices[n, 1] - eye[1], vertices[n, 2] - eye[2]
@@ -152,7 +185,7 @@ def _projected(vertices, eye, rotation, tangents):
 
 @internal
 def _beyond(a, b, c, tangents, reach, rows, cols):
-    """Whether a triangle lies beyond one side of the picture's pyramid as a whole, a share of a pixel wider on all sides."""
+    """Return whether a triangle lies entirely beyond one side of the view frustum, which is wider by ``reach`` pixels."""
     for k in range(2):
         low = tangents[k] - reach * tangents[2]
         high = low + ((cols if k == 0 else rows) - 1 + 2.0 * reach) * tangents[2]
@@ -177,7 +210,7 @@ def _draw(at, pixel, triangles, tangents, beside, near, first, number, depth):
             low_row, high_row = min(pixel[i, 1], pixel[j, 1], pixel[k, 1]), max(pixel[i, 1], pixel[j, 1], pixel[k, 1])
             if not (high_col >= -reach and low_col <= cols - 1 + reach and high_row >= -reach and low_row <= rows - 1 + reach):
                 continue
-            # Places lie straight beside a middle: what holds no middle's row and no middle's column holds none.
+            # Samples lie in the row or the column of a pixel's centre. A box without such a row or column contains no sample.
             if np.ceil(low_col) > high_col and np.ceil(low_row) > high_row:
                 continue
             c0, c1 = int(np.ceil(max(low_col - reach, 0.0))), int(min(high_col + reach, cols - 1.0))
@@ -196,7 +229,7 @@ def _draw(at, pixel, triangles, tangents, beside, near, first, number, depth):
         w0, w1, w2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
         volume = a0 * u0 + a1 * u1 + a2 * u2
         side = 1.0 if volume > 0.0 else -1.0
-        # How much less than at a pixel's middle each may be beside it.
+        # Upper bounds of the decrease of each edge function from a pixel's centre to a sample.
         wide = reach * tangents[2]
         less_u, less_v, less_w = wide * (abs(u0) + abs(u1)), wide * (abs(v0) + abs(v1)), wide * (abs(w0) + abs(w1))
         for r in range(r0, r1 + 1):

@@ -1,4 +1,4 @@
-"""The ``Descriptor``: what is known of a scene and a view, as one value. A pure type; ``skugga.terrain.describe`` makes it."""
+"""The ``Descriptor``: all facts of a scene and a view in one value. ``skugga.terrain.describe`` computes it."""
 
 from __future__ import annotations
 
@@ -39,21 +39,36 @@ def _a_number(fact: Fact) -> Fact:
 
 
 class Descriptor(Facts):
-    """What is known of a scene and a view; a function of (level, zoom, sun) for map views.
+    """The facts of a scene and a view. For a map view they are a function of (level, zoom, sun).
 
-    ``pixel_m`` is a pixel's side on the ground (in perspective at the median distance of what is seen; ``pixel`` is its tangent);
-    ``rows`` x ``cols`` of them, ``pixels`` in all, are drawn at a time: a map's block or a whole perspective view, of which
-    ``seen_share`` shows a surface and not the sky, and in ``edge_share`` something ends, so that they get further samples
-    (``skugga.terrain.gbuffer.antialias``; 0 in a map). A coarse map's pixels are cut into ``pieces`` a side, whose mean visibility
-    they show (``skugga.terrain.gbuffer.covered_nodes``): ``pixel_m``, ``node_m`` and the rest are those of the pieces, ``pixels`` a
-    block's pieces that are ground. ``casters`` are the kinds there are, ``stands`` what there is of each, ``lights``
-    what each light does. ``relief_m`` is the range of the ground's heights, the slopes are those of the raster's overview,
-    ``moves`` whether anything does by the clock: casters, lamps or clouds. ``receivers_light_m`` is the largest extent of a block's
-    receivers in light space: right, up and along the light, metres; ``None`` without a sun. ``bands`` are what a perspective view
-    shows under the sun, by distance. ``highest_sun_deg`` is the sun's largest altitude anywhere over the level. ``bend_px`` is how
-    far a map lies off what a camera could see of it (``skugga.terrain.casters.clip_space``). ``tallest_m`` is how far anything
-    rises above its ground.
-    ``facts`` are what effects go by besides, by effect; JSON has no infinity: there it is written as text.
+    - ``view``, ``view_kind``: the name of the view and its kind.
+    - ``flat_world``: whether the world is flat.
+    - ``pixel_m``: side of a pixel on the ground, metres; in perspective at the median distance of the visible surfaces.
+    - ``pixel``: side of a pixel as a tangent; perspective views only.
+    - ``rows``, ``cols``, ``pixels``: rows, columns and number of pixels of a map's block or of a whole perspective view.
+    - ``seen_share``: share of the pixels that show a surface and not the sky.
+    - ``edge_share``: share of the pixels that contain an edge and get further samples (``skugga.terrain.gbuffer.antialias``);
+      0 in a map.
+    - ``node_m``: distance between the nodes of the drawn ground, metres.
+    - ``pieces``: supersampling factor of a side of a coarse map's pixel, which shows the mean visibility of its sub-pixels
+      (``skugga.terrain.gbuffer.covered_nodes``). If it is over 1, ``pixel_m``, ``node_m`` and the other fields describe sub-pixels,
+      and ``pixels`` counts those of a block that show ground.
+    - ``casters``: the kinds of casters in the scene.
+    - ``stands``: the facts of each kind of casters.
+    - ``lamps``: the lights other than the sun.
+    - ``lights``: the facts of each light by name.
+    - ``relief_m``, ``block_relief_m``: range of the ground's heights, metres, in the level and in a block or in the visible part.
+    - ``mean_slope_deg``, ``p95_slope_deg``, ``highest_slope_deg``: slopes of the raster's overview, degrees.
+    - ``sun_azimuth_deg``, ``sun_altitude_deg``: angles of the sun at the anchor, degrees; ``None`` without a sun.
+    - ``highest_sun_deg``: maximum altitude of the sun anywhere in the level, degrees; ``None`` without a sun.
+    - ``receivers_light_m``: maximum extent of a block's receivers in light space: right, up and along the light, metres; ``None``
+      without a sun.
+    - ``bands``: the surfaces that a perspective view shows under the sun, by distance.
+    - ``bend_px``: maximum deviation of a map from the affine cameras that draw it, pixels (``skugga.terrain.casters.clip_space``).
+    - ``tallest_m``: maximum height of any object above its ground, metres.
+    - ``moves``: whether casters, lamps or clouds move with time.
+    - ``weather``: visibility, cloud cover and snow.
+    - ``facts``: further facts of effects, by effect. JSON has no infinity, so an infinite number is written as text there.
     """
 
     model_config = ConfigDict(ser_json_inf_nan="strings")
@@ -92,7 +107,7 @@ class Descriptor(Facts):
 
     @property
     def light_kinds(self) -> dict[str, LightKind]:
-        """The lights in order, each with its kind; a level without any has the sun's, which is nowhere."""
+        """The kind of each light by name, in order. A level without lights gets the entry of the sun."""
         sun: dict[str, LightKind] = {SUN: "sun"} if self.highest_sun_deg is not None or not self.lamps else {}
         return sun | {lamp.name: lamp.kind for lamp in self.lamps}
 
@@ -117,7 +132,7 @@ class Descriptor(Facts):
         is_given = [value is not None for value in (self.sun_azimuth_deg, self.sun_altitude_deg, self.highest_sun_deg)]
         if any(is_given) != all(is_given):
             raise PydanticCustomError(
-                "sun", "sun_azimuth_deg, sun_altitude_deg and highest_sun_deg: all three, or none of them without a sun"
+                "sun", "sun_azimuth_deg, sun_altitude_deg and highest_sun_deg: give all three, or none without a sun"
             )
         if not self.mean_slope_deg <= self.highest_slope_deg or not self.p95_slope_deg <= self.highest_slope_deg:
             raise PydanticCustomError(
@@ -141,7 +156,7 @@ def _once(key: str, names: list[str], allowed: tuple[str, ...] | None) -> None:
 
 
 def join_bands(bands: tuple[Band, ...]) -> Band:
-    """The band of neighbouring bands."""
+    """Merge neighbouring bands into one band."""
     low = np.min([band.low_light_m for band in bands], axis=0)
     high = np.max([band.high_light_m for band in bands], axis=0)
     bounds = {"low_light_m": tuple(low.tolist()), "high_light_m": tuple(high.tolist())}

@@ -1,6 +1,6 @@
-"""What a descriptor is made of: facts of a scene and a view as plain numbers, each with its unit and its bounds.
+"""Types of the parts of a descriptor: facts of a scene and a view as plain numbers with units and validated ranges.
 
-Anybody may write them by hand or send them as JSON: what is not known may be left out, what cannot be is refused by name.
+Users may write them by hand or send them as JSON. Unknown facts may be left out. An impossible value raises an error that names it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.level.level import CasterKind
 
 TEXEL_LADDER_PX = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-"""Sides of texels, in pixels, for which it is told what a nearest look-up gets wrong."""
+"""Texel sizes, in pixels, for which the descriptor states the error of nearest-neighbour shadow-map look-ups."""
 
 FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
 AtLeastZero = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -25,21 +25,26 @@ Slope = Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)]
 FinitePoint = tuple[FiniteNumber, FiniteNumber, FiniteNumber]
 
 Fact = float | bool | str | None
-"""A fact that an effect goes by besides; ``None``: not known."""
+"""A further fact that an effect needs. ``None`` means unknown."""
 
 SHARE_SUM_TOLERANCE = 1e-6
-"""How far shares that make up a whole may add up to more than one."""
+"""Tolerance by which the sum of shares of one whole may exceed 1."""
 
 
 class Facts(BaseModel):
-    """A value that is never changed, whose keys are all known."""
+    """Base of facts: immutable, and without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class LampFacts(Facts):
-    """A light besides the sun: half angle of its cone (180: an omni light), the distance that it is meant for, and whether its
-    light can be seen in the view, alone or with that of other dim lamps; ``radius_m`` is that of the ball that shines (0: a point).
+    """A light other than the sun.
+
+    - ``name``, ``kind``: the name of the lamp, and ``spot`` or ``omni``.
+    - ``cutoff_deg``: half angle of its cone, degrees; 180 for an omni light.
+    - ``reference_m``: the distance for which the lamp is designed, metres.
+    - ``reaches``: whether its light is visible in the view, alone or together with other dim lamps.
+    - ``radius_m``: radius of the luminous sphere, metres; 0 for a point light.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -51,8 +56,11 @@ class LampFacts(Facts):
 
 
 class Band(Facts):
-    """What is seen at distances from ``near_m`` to ``far_m``, the next power of two: its share of all that is seen, and its bounds
-    in light space, metres.
+    """The visible surfaces in one band of distances from the eye.
+
+    - ``near_m``, ``far_m``: limits of the band, metres; ``far_m`` is the next power of two.
+    - ``share``: share of all visible surfaces.
+    - ``low_light_m``, ``high_light_m``: bounds in light space, metres.
     """
 
     near_m: Positive
@@ -73,14 +81,18 @@ class Band(Facts):
 
 
 class CasterFacts(Facts):
-    """What there is of a kind of casters, as it casts.
+    """One kind of casters in a scene.
 
-    ``count`` bodies or trees as the view draws them (1 for the relief) of ``triangles`` in all; of the relief of a map those of a
-    block, and ``outside_triangles`` those of ground beyond it that is drawn to cast into it (an estimate); of the relief in
-    perspective ``nodes`` are those of the level's ground, of which decimation leaves out many where there are many.
-    ``closed_share`` of the triangles bound closed bodies, ``alpha_share`` are cut out by a texture. ``height_m`` and ``width_m``
-    are a body's medians (of the relief: its range of heights); ``leaf_gap_m`` how wide leaves and the gaps between them are, in
-    the mean.
+    - ``kind``: the kind of casters.
+    - ``count``: number of bodies, or of trees as the view draws them; 1 for the relief.
+    - ``triangles``: number of triangles that cast shadows; for the relief of a map those of a block.
+    - ``outside_triangles``: estimated number of ground triangles beyond a map's block that are drawn to cast into it.
+    - ``nodes``: number of nodes of the level's ground; only for the relief in perspective. Decimation of large levels draws far
+      fewer.
+    - ``closed_share``: share of the triangles that belong to closed bodies.
+    - ``alpha_share``: share of the triangles that are alpha-tested.
+    - ``height_m``, ``width_m``: median size of a body, metres; ``height_m`` of the relief is the range of its heights.
+    - ``leaf_gap_m``: mean width of leaves and of the gaps between them, metres.
     """
 
     kind: CasterKind
@@ -96,12 +108,16 @@ class CasterFacts(Facts):
 
 
 class CastBand(Facts):
-    """The shadows of a kind of casters on what is seen from ``near_m`` to ``far_m`` away (a map: from 0, without end).
+    """The shadows of one kind of casters on the visible surfaces in one band of distances from the eye.
 
-    ``share`` of all that is seen lies there, ``cast`` of that in these shadows. A pixel's side is ``pixel_m`` there, and the lamp
-    ``light_m`` away (``None``: the sun). ``differs`` says for each texel of ``TEXEL_LADDER_PX`` how much of what is seen there
-    differs in visibility from a point beside it, anywhere in a texel's square across the light: what a nearest look-up in a map of
-    such texels gets wrong.
+    - ``near_m``, ``far_m``: limits of the band, metres; a map has one band from 0 without an upper limit (``None``).
+    - ``share``: share of all visible surfaces that lies in the band.
+    - ``cast``: share of the band that lies in these shadows.
+    - ``pixel_m``: side of a pixel in the band, metres.
+    - ``light_m``: distance of the lamp, metres; ``None`` for the sun.
+    - ``differs``: for each texel size of ``TEXEL_LADDER_PX`` the share of the band whose visibility differs from that of a point
+      beside it. This point lies anywhere in a texel-sized square perpendicular to the light. The share is the error of a
+      nearest-neighbour look-up in a shadow map with such texels.
     """
 
     near_m: AtLeastZero
@@ -120,9 +136,12 @@ class CastBand(Facts):
 
 
 class Casting(Facts):
-    """The cast shadows of one kind of casters: their ``share`` of all that is seen, how much of that lies ``on_bodies`` and not on
-    the ground (a share of all that is seen, too; ``None``: not known), by distance, nearest first, and how far they are thrown:
-    ``thrown_m`` is the median distance from a point in shadow to what stands before the light (``None``: not known).
+    """The cast shadows of one kind of casters.
+
+    - ``share``: share of all visible surfaces that lies in these shadows.
+    - ``on_bodies``: share of all visible surfaces that lies in these shadows and is not ground; ``None`` if unknown.
+    - ``bands``: the shadows by distance from the eye, nearest first.
+    - ``thrown_m``: median distance from a point in shadow to its occluder, metres; ``None`` if unknown.
     """
 
     share: Share
@@ -137,14 +156,18 @@ class Casting(Facts):
 
 
 class LightFacts(Facts):
-    """A light on what is seen.
+    """The effect of one light on the visible surfaces.
 
-    ``to_view_deg`` is the angle between the ways to the light and into the picture (``None``: no single way). ``facing_share`` of
-    what is seen faces the light and lies in its cone, ``cast_share`` lies in cast shadow. ``area_share`` is what is seen as a share
-    of all that the light's map would cover: of the level in the sun's light space, of a spot's cone, of an omni light's sphere.
-    ``nearest_edge_m`` is how far from the eye the nearest edge of a shadow is seen (``None``: none is). ``silhouette_edges`` of the
-    meshes are ``silhouette_px`` long where they fall into the picture, hidden or not, and a ray from the eye to what is seen passes
-    ``volume_layers`` sides of their shadow volumes, in the mean. ``casts`` says what each kind of casters throws on what is seen.
+    - ``to_view_deg``: angle between the direction to the light and the view axis, degrees; ``None`` without a single direction.
+    - ``facing_share``: share of the visible surfaces that faces the light and lies in its cone.
+    - ``cast_share``: share of the visible surfaces that lies in cast shadow.
+    - ``area_share``: extent of the visible surfaces as a share of the area of the light's shadow map. A map of the sun covers the
+      level in light space, a map of a spot its cone, a map of an omni light its sphere.
+    - ``nearest_edge_m``: distance from the eye to the nearest visible shadow edge, metres; ``None`` if no edge is visible.
+    - ``silhouette_edges``: number of edges of the meshes' silhouettes.
+    - ``silhouette_px``: total length of these edges in the picture, hidden ones included, pixels.
+    - ``volume_layers``: mean number of sides of shadow volumes between the eye and the visible surface.
+    - ``casts``: the cast shadows of each kind of casters.
     """
 
     to_view_deg: Annotated[float, Field(ge=0, le=180, allow_inf_nan=False)] | None = None
@@ -159,14 +182,14 @@ class LightFacts(Facts):
 
 
 def number(fact: Fact) -> float | None:
-    """A fact that is a number; ``None``: not known. Raises ``InputError`` for a word that somebody has written in its place."""
+    """Return a fact as a number, or ``None`` if it is unknown. Raises ``InputError`` for text."""
     if isinstance(fact, str):
         raise InputError("facts", fact, "a number")
     return fact
 
 
 def shares_add_up(shares: list[float], of: str) -> None:
-    """Raise a ``PydanticCustomError`` where shares of one whole come to more than it."""
+    """Raise a ``PydanticCustomError`` if shares of one whole add up to more than 1."""
     if sum(shares) > 1.0 + SHARE_SUM_TOLERANCE:
         raise PydanticCustomError("shares", "the shares of {of} add up to {sum}, more than 1", {"of": of, "sum": sum(shares)})
 

@@ -1,8 +1,8 @@
-"""Rays through foliage: where they first meet a leaf of the trees as a view draws them.
+"""Ray casting through foliage: the first hit with a leaf of the trees as a view draws them.
 
-Exact but for two things that do not matter in the mean: a picture's alpha is read at the nearest texel, and trees stand along the
-third axis of their frame, however far from its origin. Trees lie in a grid of cells, which rays go through in order (J. Amanatides,
-A. Woo 1987, "A fast voxel traversal algorithm for ray tracing").
+The result is exact except for two simplifications that do not matter on average. The alpha of a texture is read at the nearest
+texel, and all trees stand along the third axis of their frame, at any distance from its origin. A uniform grid of cells holds the
+trees. Rays traverse its cells in order (J. Amanatides, A. Woo 1987, "A fast voxel traversal algorithm for ray tracing").
 """
 
 from __future__ import annotations
@@ -18,20 +18,32 @@ from skugga.terrain.gbuffer.tree_instances import TreeInstances
 from skugga.terrain.trees.foliage import THRESHOLD, foliage
 
 TREES_A_CELL = 3
-"""Trees in a cell of the grid, in the mean over its extent."""
+"""Mean number of trees per cell of the grid."""
 
 MAX_CELLS_PER_SIDE = 512
-"""Cells along a side of the grid."""
+"""Maximum number of cells along a side of the grid."""
 
 MIN_LEAF_DISTANCE_M = 0.01
-"""A leaf nearer to a ray's start is the one that it starts from."""
+"""Minimum hit distance. A leaf closer to the start of a ray is the leaf that the ray starts from."""
 
 
 class TreeGrid(NamedTuple):
-    """Trees by cells: those of cell k = row * cols + col are ``tree[first[k] : first[k + 1]]``.
+    """Uniform grid of trees. The trees of cell k = row * cols + col are ``tree[first[k] : first[k + 1]]``.
 
-    ``low_m`` (2,) is the first cell's corner, ``top_m`` (rows, cols) how high any tree of a cell rises; ``disc`` float32 (k, 3)
-    where each of ``tree`` stands, counted from that corner, and how far it reaches.
+    Attributes
+    ----------
+    low_m
+        Corner of the first cell (2,), metres.
+    cell_m
+        Side of a cell, metres.
+    top_m
+        Maximum height of the trees of each cell (rows, cols), metres.
+    first
+        Index of each cell's first entry in ``tree`` (rows * cols + 1,).
+    tree
+        Tree numbers (k,), int32, ordered by cell.
+    disc
+        Position of each entry of ``tree`` from the corner ``low_m``, and its radius (k, 3), float32, metres.
     """
 
     low_m: np.ndarray
@@ -43,7 +55,15 @@ class TreeGrid(NamedTuple):
 
 
 class LeafPictures(NamedTuple):
-    """Trees as a ``TreeInstances`` has them, and where their pictures have a leaf (``leaves``)."""
+    """Arrays of a ``TreeInstances``, and the leaf masks of the textures (``leaves``).
+
+    Attributes
+    ----------
+    base_frame_m, shape, turn, variant
+        Position, size, rotation and texture of each tree, as in ``TreeInstances``.
+    leaf
+        Leaf masks of the textures (2 * looks, side, side), bool.
+    """
 
     base_frame_m: np.ndarray
     shape: np.ndarray
@@ -54,7 +74,7 @@ class LeafPictures(NamedTuple):
 
 @cached("scene", 64 * MIB)
 def tree_grid_of(trees: TreeInstances) -> TreeGrid:
-    """The grid of some trees; the last ones are kept."""
+    """Return the uniform grid of some trees. Recent grids are cached."""
     reach = 1.4143 * trees.shape[:, :2].max(axis=1)
     base_xy = trees.base_frame_m[:, :2]
     low, high = (base_xy - reach[:, None]).min(axis=0), (base_xy + reach[:, None]).max(axis=0)
@@ -95,12 +115,12 @@ def _sorted(base, shape, reach, low, cell, rows, cols):
 
 @cached("process", 64 * MIB)
 def leaves() -> np.ndarray:
-    """Where each picture of a tree (2 * looks, side, side) has a leaf, bool."""
+    """Return the leaf mask of each texture of a tree, shape (2 * looks, side, side), bool."""
     return foliage().levels[0][..., 3] >= THRESHOLD * 255
 
 
 def blocked_by_leaves(trees: TreeInstances, rays: ProbeRays) -> np.ndarray:
-    """Which rays (1 + k, n) meet a leaf before the light, bool."""
+    """Return whether each ray (1 + k, n) hits a leaf before it reaches the light, bool."""
     start, direction = (np.ascontiguousarray(v).reshape(-1, 3) for v in (rays.start_frame_m, rays.direction_frame))
     met, _ = first_leaf_hits(trees, start, direction, np.ravel(rays.length_m))
     return np.isfinite(met).reshape(rays.length_m.shape)
@@ -109,8 +129,9 @@ def blocked_by_leaves(trees: TreeInstances, rays: ProbeRays) -> np.ndarray:
 def first_leaf_hits(
     trees: TreeInstances, start: np.ndarray, direction: np.ndarray, length_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far along rays (n, 3), unit directions, the first leaf is met, infinite where none is within their lengths (n,); and the
-    unit normals (n, 3) of what is met.
+    """Return the distance along each ray to the first leaf (n,), metres, and the unit normal of the hit (n, 3).
+
+    Rays have starts (n, 3), unit directions (n, 3) and lengths (n,). The distance is infinite if no leaf lies within the length.
     """
     if not len(trees):
         return np.full(len(start), np.inf), np.zeros((len(start), 3))
@@ -127,7 +148,7 @@ def _first(grid, its, start, direction, length, nearest):
     out, normal = np.full(len(start), np.inf), np.zeros((len(start), 3))
     for n in range(len(start)):
         dx, dy, dz = direction[n, 0], direction[n, 1], direction[n, 2]
-        # In cells; the part of the ray over the grid.
+        # Clip the ray to the grid, in units of cells.
         from_x, from_y = start[n, 0] - low[0], start[n, 1] - low[1]
         x, y = from_x / cell, from_y / cell
         vx, vy = dx / cell, dy / cell

@@ -1,8 +1,8 @@
-"""Scene and view -> what each light does there: what it shines on, what stands in its way, and where its shadows end.
+"""Measure the effect of each light on a view: the surfaces that it illuminates, the occluders, and the edges of its shadows.
 
-All of it by looking: from the points of a coarse look (a map: of what is seen from above all over the level) rays go to the light
-and to beside it (``skugga.terrain.facts.probes``). No kind of casters knows of the others here; what one of them shades counts as
-its shadow whatever else does.
+All facts are measured by ray casting. The probes are the points of a coarse view, or in a map the points that are visible from
+above anywhere in the level. Rays go from each probe, and from places beside it, to the light (``skugga.terrain.facts.probes``).
+Each kind of casters is measured independently: a point that several kinds shade counts for each of them.
 """
 
 from __future__ import annotations
@@ -26,28 +26,38 @@ from skugga.terrain.lights import Lamp
 from skugga.terrain.scene import Scene
 
 MIN_DISTANCE_M = 1.0
-"""What is nearer to the eye than this counts as this far away."""
+"""Minimum distance from the eye. Closer probes count as this far away."""
 
 GRAZING = 2.0**-20
-"""A light that meets a surface at no more than this sine counts as below it."""
+"""Minimum sine of the angle between a light and a surface. A lower light counts as below the surface."""
 
 EDGE_RUNG = 6
-"""The size of ``TEXEL_LADDER_PX`` within which an edge is near a point: 8 pixels, about as far as points of a look are apart."""
+"""Number of entries of ``TEXEL_LADDER_PX`` that detect an edge near a point: up to 8 pixels, about the spacing of the points."""
 
 ALL_ROUND_PARTS = 8
-"""Parts a side of the faces of a cube round an omni light by which it is told how much of its sphere is seen."""
+"""Subdivision of a side of each cube-map face of an omni light, for the estimate of the visible share of its sphere."""
 
 
 MIN_THROW_M = 0.01
-"""A ray starts so far off the body that it comes from."""
+"""Offset of the start of a ray from the body that it starts on."""
 
 LEAF_PROBES = 160
-"""Probes, at most, beside which rays are looked for that foliage stops: those cost most."""
+"""Maximum number of probes whose rays are tested against foliage, the most expensive test."""
 
 
 @dataclass(frozen=True, eq=False)
 class LitProbes:
-    """Probes that face a light and lie in its cone, the unit ways there (n, 3) and their lengths (n,), infinite to the sun."""
+    """Probes that face a light and lie in its cone.
+
+    Attributes
+    ----------
+    probes
+        The n probes.
+    direction_frame
+        Unit directions to the light (n, 3).
+    length_m
+        Distances to the light (n,), metres; infinite for the sun.
+    """
 
     probes: Probes
     direction_frame: np.ndarray
@@ -56,7 +66,19 @@ class LitProbes:
 
 @dataclass(frozen=True, eq=False)
 class ViewProbes:
-    """What is seen and what stands in the way: the camera (``None``: a map), points of what it sees, and the trees as drawn."""
+    """The visible points of a view and its occluders.
+
+    Attributes
+    ----------
+    scene
+        The scene, which holds the relief and the meshes.
+    camera
+        The perspective view, or ``None`` for a map.
+    probes
+        Samples of the visible points.
+    trees
+        The trees as the view draws them, or ``None`` without trees.
+    """
 
     scene: Scene
     camera: PerspectiveView | None
@@ -65,9 +87,7 @@ class ViewProbes:
 
 
 def facts_of_lights(seen: ViewProbes, area_of_sun: float, lamps: Iterable[str]) -> dict[str, LightFacts]:
-    """The facts of the sun and of some lamps of a scene, by name, on what is seen; ``area_of_sun`` is the share of its light
-    space.
-    """
+    """Return the facts of the sun and of some lamps by name. ``area_of_sun`` is the ``area_share`` of the sun."""
     found: dict[str, LightFacts] = {}
     if seen.scene.sun is not None:
         found[SUN] = _facts(seen, None, area_of_sun)
@@ -103,7 +123,7 @@ def _facts(seen: ViewProbes, lamp: Lamp | None, area_share: float) -> LightFacts
 
 
 def _lit(scene: Scene, probes: Probes, lamp: Lamp | None, most: int) -> tuple[LitProbes, float]:
-    """At most so many of those that a light shines on, and the share of them all that it does."""
+    """Return at most ``most`` of the probes that face a light and lie in its cone, and the share of all probes that do."""
     frame = probes.frame
     if lamp is None:
         assert scene.sun is not None
@@ -124,8 +144,18 @@ def _lit(scene: Scene, probes: Probes, lamp: Lamp | None, most: int) -> tuple[Li
 
 @dataclass(frozen=True, eq=False)
 class BlockedRays:
-    """Which rays a kind of casters stands in the way of: those of the probes ``itself`` (n,), and those from ``beside`` (k, m) the
-    probes ``which`` (m,), indices. ``thrown_m`` is how far before those of the probes it is met, where that is known.
+    """Rays that one kind of casters blocks.
+
+    Attributes
+    ----------
+    itself
+        Whether the ray from each of the n probes is blocked (n,), bool.
+    beside
+        Whether the rays from k places beside the probes ``which`` are blocked (k, m), bool.
+    which
+        Indices of the probes with rays from beside them (m,).
+    thrown_m
+        Distances from blocked probes to their occluders, metres, or ``None`` if they are unknown.
     """
 
     itself: np.ndarray
@@ -154,7 +184,10 @@ def _blocked(seen: ViewProbes, kind: CasterKind, probes: Probes, rays: ProbeRays
 
 
 def _casting(lit: LitProbes, blocked: BlockedRays, facing_share: float, by_distance: bool) -> Casting:
-    """What a kind of casters throws on all that is seen, where ``facing_share`` of it are the probes of which ``blocked`` tells."""
+    """Return the cast shadows of one kind of casters on the visible surfaces.
+
+    ``facing_share`` is the share of the visible surfaces that the lit probes represent.
+    """
     probes, away_m = lit.probes, np.maximum(lit.probes.away_m, MIN_DISTANCE_M)
     octave, of_band = np.unique(
         np.ceil(np.log2(away_m)).astype(int) if by_distance else np.zeros(len(probes), int), return_inverse=True
@@ -199,8 +232,10 @@ def _to_view_deg(scene: Scene, camera: PerspectiveView, lamp: Lamp | None, probe
 
 
 def area_share_of_lamp(lamp: Lamp, probes: Probes) -> float:
-    """What of a lamp's map falls on what is seen: of a spot the rectangle round it in its cone's, of an omni light the parts of the
-    faces of a cube round it.
+    """Return the share of a lamp's shadow map that covers visible surfaces.
+
+    For a spot it is the bounding rectangle of the probes relative to that of the cone. For an omni light it is the share of the
+    subdivided cube-map faces that contain probes.
     """
     in_lamp = (probes.point_earth_m - lamp.position_earth_m) @ lamp.earth_from_lamp
     if lamp.kind == "omni":
@@ -218,7 +253,7 @@ def area_share_of_lamp(lamp: Lamp, probes: Probes) -> float:
 
 
 def _silhouette(scene: Scene, camera: PerspectiveView | None, probes: Probes, lamp: Lamp | None) -> dict[str, float]:
-    """The facts of the silhouette of the meshes."""
+    """Return the silhouette facts of the meshes, as keyword arguments of ``LightFacts``."""
     if lamp is None:
         assert scene.sun is not None
         light, at_place = scene.sun.to_sun_earth, False

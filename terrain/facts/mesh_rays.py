@@ -1,8 +1,8 @@
-"""Rays through meshes: whether anything of a set of triangles stands in their way.
+"""Ray casting against meshes with a bounding volume hierarchy (BVH).
 
-Triangles lie in a binary tree of boxes, each cut where rays that meet it are likely to meet little of it: where the areas of the
-two boxes, times the triangles in them, add up to the least (I. Wald 2007, "On fast construction of SAH-based bounding volume
-hierarchies"). The test of a triangle is that of T. Moeller and B. Trumbore 1997.
+The BVH is a binary tree of boxes. The surface area heuristic (SAH) chooses each split: it minimises box area times number of
+triangles, summed over the two children (I. Wald 2007, "On fast construction of SAH-based bounding volume hierarchies"). The
+ray-triangle test is that of T. Moeller and B. Trumbore 1997.
 """
 
 from __future__ import annotations
@@ -18,20 +18,33 @@ from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.scene_objects import SceneObjects
 
 MAX_LEAF_TRIANGLES = 4
-"""Triangles in a leaf of the tree, at most."""
+"""Maximum number of triangles in a leaf of the BVH."""
 
 BINS = 16
-"""Places along a box where it may be cut."""
+"""Number of bins along a box, whose boundaries are the candidate splits."""
 
 RAY_OFFSET_SHARE = 2.0**-20
-"""A ray starts this share of the meshes' extent off its surface (a millimetre a kilometre)."""
+"""Offset of the start of a ray from its surface, as a share of the meshes' extent (1 mm per km)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bvh:
-    """Boxes round triangles: ``low`` and ``high`` (nodes, 3); node i has the nodes ``first[i]`` and the next below it or, where
-    ``count[i]`` is over 0, so many triangles from that number on. ``corner``, ``side_a`` and ``side_b`` (m, 3) are the triangles in
-    that order. All float64, metres from ``origin_earth_m``.
+    """Bounding volume hierarchy of triangles. All coordinates are float64 metres from ``origin_earth_m``.
+
+    Attributes
+    ----------
+    origin_earth_m
+        Origin of the coordinates (3,), earth-fixed metres.
+    extent_m
+        Longest side of the bounding box of all triangles, metres.
+    low, high
+        Minimum and maximum corner of each node's box (nodes, 3).
+    first
+        For an inner node i its first child; the second is ``first[i] + 1``. For a leaf its first triangle.
+    count
+        Number of triangles of a leaf; 0 for an inner node.
+    corner, side_a, side_b
+        One corner and the two sides from it of each triangle (m, 3), in the order of the leaves.
     """
 
     origin_earth_m: np.ndarray
@@ -46,7 +59,7 @@ class Bvh:
 
 
 def blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays) -> np.ndarray:
-    """Which rays (1 + k, n) of probes meet what stands for the meshes before the light, bool."""
+    """Return whether each ray (1 + k, n) hits the casters of the meshes before it reaches the light, bool."""
     tree = _tree_of(objects)
     frame = probes.frame
     side = np.where(np.einsum("ij,ij->i", probes.normal_frame, rays.direction_frame[0]) < 0.0, -1.0, 1.0)
@@ -56,15 +69,17 @@ def blocked_by_meshes(objects: SceneObjects, probes: Probes, rays: ProbeRays) ->
 
 
 def any_hit(tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray) -> np.ndarray:
-    """Which rays from starts (..., 3), counted from the tree's origin, meet a triangle within their lengths (...), bool."""
+    """Return whether each ray hits a triangle within its length (...), bool. Starts (..., 3) are relative to the BVH's origin."""
     return np.isfinite(_met_by(tree, start_m, direction, length_m, False)[0])
 
 
 def first_mesh_hits(
     objects: SceneObjects, frame: LocalFrame, start_frame_m: np.ndarray, direction_frame: np.ndarray, length_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far along rays from starts (n, 3), within their lengths (n,), what stands for the meshes is met first (n,), infinite
-    where it is not, and its unit normal (n, 3) there, towards the start.
+    """Return the distance along each ray to the first hit with the casters of the meshes (n,), and the hit's normal (n, 3).
+
+    Rays have starts (n, 3), directions (n, 3) and lengths (n,). The distance is infinite without a hit within the length. Unit
+    normals point towards the start.
     """
     tree = _tree_of(objects)
     start = frame.directions_to_earth(start_frame_m) + (frame.origin_earth_m - tree.origin_earth_m)
@@ -77,7 +92,7 @@ def first_mesh_hits(
 def _met_by(
     tree: Bvh, start_m: np.ndarray, direction: np.ndarray, length_m: np.ndarray, nearest: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (...) to a triangle that rays meet, the nearest or any, infinite without one; and its number (...)."""
+    """Return the distance (...) along each ray to the nearest or to any hit, infinite without one, and its triangle (...)."""
     start, directions = (np.ascontiguousarray(v).reshape(-1, 3) for v in (start_m, direction))
     boxes = tree.low, tree.high, tree.first, tree.count
     found = _met(*boxes, tree.corner, tree.side_a, tree.side_b, start, directions, np.ravel(length_m), nearest)
@@ -92,7 +107,7 @@ def _tree_of(objects: SceneObjects) -> Bvh:
 
 
 def bvh_of(vertices: np.ndarray, triangles: np.ndarray) -> Bvh:
-    """The tree of triangles (m, 3), m > 0, of vertices (n, 3)."""
+    """Build the BVH of triangles (m, 3), m > 0, with vertices (n, 3)."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     origin, extent = (low + high) / 2, max(float(np.max(high - low)), 1e-9)
     points = (vertices - origin)[triangles]
@@ -103,7 +118,7 @@ def bvh_of(vertices: np.ndarray, triangles: np.ndarray) -> Bvh:
 
 @compiled
 def _built(box_low, box_high, leaf, bins):
-    """The order of triangles with boxes (m, 3), and the nodes of their tree: the first one is its root."""
+    """Return the order of triangles with boxes (m, 3), and the nodes of their BVH. Node 0 is the root."""
     m = len(box_low)
     order = np.arange(m)
     middle = 0.5 * (box_low + box_high)
@@ -154,7 +169,7 @@ def _built(box_low, box_high, leaf, bins):
                     if min(int((middle[t, best_axis] - least[best_axis]) * scale), bins - 1) < best_bin:
                         order[i], order[cut] = order[cut], t
                         cut += 1
-            if cut == start or cut == end:  # all in one place
+            if cut == start or cut == end:  # all centres coincide
                 cut = (start + end) // 2
             first[nodes], count[nodes] = start, cut - start
             first[nodes + 1], count[nodes + 1] = cut, end - cut
@@ -177,7 +192,7 @@ def _met(low, high, first, count, corner, side_a, side_b, start, direction, leng
         while waiting > 0 and (nearest or away[n] == np.inf):
             waiting -= 1
             node = stack[waiting]
-            # A product of 0 and infinity is no number, which no comparison lets through: a ray in a box's face may pass it.
+            # The product of 0 and infinity is NaN, with which all comparisons fail: a ray in the plane of a face may miss the box.
             a, b = (low[node, 0] - x) * ix, (high[node, 0] - x) * ix
             near, far = max(0.0, min(a, b)), min(most, max(a, b))
             a, b = (low[node, 1] - y) * iy, (high[node, 1] - y) * iy

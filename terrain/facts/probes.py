@@ -1,10 +1,10 @@
-"""Probes: some of the points that a view shows, and rays from them and from beside them to a light.
+"""Probes: sampled visible points of a view, with rays from them and from places beside them to a light.
 
-A shadow map's nearest look-up answers for a point with the visibility of the middle of its texel, compared on the plane of the
-triangle that is seen. So the share of points for which a ray through the point and one through another place in its texel differ
-is what a map of such texels gets wrong. Where the texels lie is chance: the other place is drawn from a square round the point,
-across the light, by a fixed sequence (R2: M. Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"), the same
-in every process.
+A nearest-neighbour look-up in a shadow map gives a point the visibility of the centre of its texel, compared on the plane of the
+visible triangle. Suppose that a ray through the point and one through another place in its texel differ. The share of such points
+is the error of a map with these texels. The position of the texel grid is random. The other place is therefore drawn from a square
+round the point, perpendicular to the light. The quasirandom sequence is the same in every process (R2: M. Roberts 2018, "The
+unreasonable effectiveness of quasirandom sequences").
 """
 
 from __future__ import annotations
@@ -17,27 +17,43 @@ from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
 from skugga.terrain.geo.world import LocalFrame
 
 PROBES = 1000
-"""Probes from which rays go to a light, at most."""
+"""Maximum number of probes that send rays to a light."""
 
 HALF_A_HIT = 0.5 / PROBES
-"""What no probe was hit by may be there all the same: half a probe's share."""
+"""Assumed share of shadows that no probe has hit: half the share of one probe."""
 
 PROBES_AMONG_TREES = 500
-"""As many where there are trees, whose leaves cost most to miss."""
+"""The same limit in a scene with trees, whose leaves make rays expensive."""
 
 MOST_PLANE = 8.0
-"""A place beside a point is looked for on its plane no farther along the light than so many times as far as it lies beside."""
+"""Maximum offset along the light of a place beside a point, as a multiple of its offset perpendicular to the light.
+
+The place lies on the plane of the surface unless that plane is steeper than this limit.
+"""
 
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 @dataclass(frozen=True, eq=False)
 class Probes:
-    """Points that are seen, each standing for as much of the view as any other.
+    """Visible points of a view with equal weights.
 
-    ``point_frame_m`` and ``normal_frame`` (n, 3) float64, ``pixel_m`` and ``away_m`` (n,) a pixel's side there and the distance
-    from the eye (0 in a map), ``kind`` (n,) what is seen as in ``skugga.terrain.gbuffer.resolve``, ``number`` (n,) whole numbers by
-    which chance is told apart.
+    Attributes
+    ----------
+    frame
+        Local frame of the coordinates.
+    point_frame_m
+        Points (n, 3), float64, metres.
+    normal_frame
+        Surface normals (n, 3), float64.
+    pixel_m
+        Side of a pixel at each point (n,), metres.
+    away_m
+        Distance from the eye (n,), metres; 0 in a map.
+    kind
+        Kind of surface (n,), as in ``skugga.terrain.gbuffer.resolve``.
+    number
+        Index of each probe in the quasirandom sequence (n,), int.
     """
 
     frame: LocalFrame
@@ -52,21 +68,28 @@ class Probes:
         return len(self.number)
 
     def some(self, which: np.ndarray) -> Probes:
-        """The probes at some indices or where a mask says."""
+        """Return the probes at some indices or in a mask."""
         names = ("point_frame_m", "normal_frame", "pixel_m", "away_m", "kind", "number")
         return replace(self, **{name: getattr(self, name)[which] for name in names})
 
     @property
     def point_earth_m(self) -> np.ndarray:
-        """The points (n, 3), earth-fixed."""
+        """The points (n, 3), earth-fixed, metres."""
         return self.frame.points_to_earth(self.point_frame_m)
 
 
 @dataclass(frozen=True, eq=False)
 class ProbeRays:
-    """Rays to a light: from each of n probes itself, then from places in texels of each size beside it.
+    """Rays to a light: row 0 starts at the n probes, rows 1 to k at places beside them in texels of k sizes.
 
-    ``start_frame_m`` (1 + k, n, 3), ``direction_frame`` (1 + k, n, 3) unit vectors, ``length_m`` (1 + k, n), infinite to the sun.
+    Attributes
+    ----------
+    start_frame_m
+        Starts (1 + k, n, 3), metres.
+    direction_frame
+        Unit directions (1 + k, n, 3).
+    length_m
+        Lengths (1 + k, n), metres; infinite for the sun.
     """
 
     start_frame_m: np.ndarray
@@ -75,16 +98,16 @@ class ProbeRays:
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Starts, directions and lengths."""
+        """Starts, directions and lengths of the rays."""
         return self.start_frame_m, self.direction_frame, self.length_m
 
     def some(self, rows: slice, which: np.ndarray) -> ProbeRays:
-        """The rays of some rows, of the probes at some indices."""
+        """Return the rays of some rows and of the probes at some indices."""
         return ProbeRays(*(array[rows][:, which] for array in self.arrays))
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:
-    """At most ``count`` of the numbers below ``size``, spread evenly but for chance within each part."""
+    """Return at most ``count`` indices below ``size``: one quasirandom index in each of ``count`` equal strata."""
     if size <= count:
         return np.arange(size)
     ends = np.arange(count + 1) * size // count
@@ -92,17 +115,20 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
 
 
 def quasirandom(number: np.ndarray) -> np.ndarray:
-    """Points (n, 2) in [0, 1) that spread evenly with their numbers (n,): the R2 sequence."""
+    """Return points (n, 2) in [0, 1) of the R2 low-discrepancy sequence at indices (n,)."""
     return (0.5 + (np.asarray(number, np.float64)[:, None] + 1.0) * _R2) % 1.0
 
 
 def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -> ProbeRays:
-    """Rays of probes to a light: unit directions (n, 3) and lengths (n,) of the ways there from the probes themselves."""
+    """Return the rays from probes, and from places beside them, to a light.
+
+    ``direction_frame`` (n, 3) holds the unit directions from the probes to the light, ``length_m`` (n,) the distances.
+    """
     right, up = _across(direction_frame)
     offset = (quasirandom(probes.number) - 0.5) * probes.pixel_m[:, None]
     beside = offset[:, :1] * right + offset[:, 1:] * up
     facing = np.einsum("ij,ij->i", probes.normal_frame, direction_frame)
-    # On the plane that is seen, as a map compares: along the light as far as the plane leans.
+    # Shift the places along the light onto the plane of the visible surface, where a shadow map compares.
     along = -np.einsum("ij,ij->i", probes.normal_frame, beside) / np.where(facing == 0.0, 1e-30, facing)
     most = MOST_PLANE * np.linalg.norm(offset, axis=1)
     directions = beside + np.clip(along, -most, most)[:, None] * direction_frame
@@ -117,7 +143,7 @@ def rays_to(probes: Probes, direction_frame: np.ndarray, length_m: np.ndarray) -
 
 
 def _across(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors (n, 3) right and up across directions (n, 3); upright but for directions along the vertical."""
+    """Return unit vectors right and up (n, 3), perpendicular to directions (n, 3). Right is horizontal."""
     flat = np.hypot(direction[:, 0], direction[:, 1])
     steep = flat < 1e-6
     scale = np.where(steep, 1.0, flat)

@@ -1,8 +1,8 @@
-"""Rays over the relief: whether ground of a raster's overview stands in their way.
+"""Line of sight over the relief: whether the ground of a raster's overview blocks a ray.
 
-The ground is bilinear between the overview's cells. A ray is straight, and rises above the bent ground below it by d^2 / 2R over a
-distance d. It is followed from one row or column of cells to the next, where the ground has its edges, and over blocks of cells
-whose highest ground lies below it at once.
+The ground is bilinear between the overview's cells. A ray is straight, so over a distance d it rises by d^2 / 2R above the curved
+earth. The ray is traced from one row or column of cells to the next, where the bilinear ground has its edges. It skips whole blocks
+of cells whose maximum height lies below it.
 """
 
 from __future__ import annotations
@@ -19,16 +19,26 @@ from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.interpolation_loops import blend_corners, cell_before
 
 SKIP_BLOCK_CELLS = 16
-"""Side of the blocks of cells that are passed over at once."""
+"""Side of the blocks of cells that a ray can skip at once."""
 
 NEAREST_CELLS = 1.0
-"""Ground nearer to a ray's start than this, in cells, is the ground that it starts from."""
+"""Minimum distance of an occluder from the start of a ray, in cells. Closer ground is the ground that the ray starts on."""
 
 
 @dataclass(frozen=True, eq=False)
 class OverviewProbes:
-    """Where probes lie on an overview: ``row``, ``col`` and ``height_m`` (n,); ``up`` (n, 3), and ``row_from_frame`` and
-    ``col_from_frame`` (n, 3), cells per metre in each direction of the probes' frame.
+    """Positions of probes on the overview of a raster.
+
+    Attributes
+    ----------
+    row, col
+        Fractional cell positions (n,).
+    height_m
+        Heights of the probes (n,), metres.
+    up
+        Up directions in the probes' frame (n, 3).
+    row_from_frame, col_from_frame
+        Gradients of the row and the column (n, 3): cells per metre along each axis of the probes' frame.
     """
 
     row: np.ndarray
@@ -41,14 +51,17 @@ class OverviewProbes:
 
 @cached("scene", 64 * MIB)
 def overview_probes(world: World, elevation: Elevation, probes: Probes) -> OverviewProbes:
-    """Probes on the overview of a raster; rows and columns are not finite where its CRS does not reach. The last are kept."""
+    """Return the positions of probes on the overview of a raster. Recent results are cached.
+
+    Rows and columns are not finite outside of the area of the CRS.
+    """
     return _on_overview(world, elevation, probes.frame, probes.point_earth_m)
 
 
 def hidden_by_relief(
     world: World, elevation: Elevation, frame: LocalFrame, point_frame_m: np.ndarray, to_light: np.ndarray
 ) -> np.ndarray:
-    """Whether ground of the level's overview hides a light in a direction (3,) without end from points (n, 3): bool (n,)."""
+    """Return whether the overview's ground hides an infinitely distant light, in a direction (3,), from points (n, 3)."""
     probes = _on_overview(world, elevation, frame, frame.points_to_earth(point_frame_m))
     rays = ProbeRays(
         point_frame_m[None], np.broadcast_to(to_light, (1, *point_frame_m.shape)), np.full((1, len(point_frame_m)), np.inf)
@@ -58,7 +71,7 @@ def hidden_by_relief(
 
 def _on_overview(world: World, elevation: Elevation, frame: LocalFrame, point_earth_m: np.ndarray) -> OverviewProbes:
     x, y, height = world.map_position(elevation.crs, point_earth_m)
-    if elevation.crs.is_geographic:  # the way round the earth that is nearer
+    if elevation.crs.is_geographic:  # the longitude nearest to the middle of the raster
         x = x + 360.0 * np.rint(((elevation.bounds[0] + elevation.bounds[2]) / 2 - x) / 360.0)
     factor = 2**elevation.overview.level
     row, col = elevation.cell_of(x, y)
@@ -71,19 +84,19 @@ def _on_overview(world: World, elevation: Elevation, frame: LocalFrame, point_ea
 
 
 def _inverse(south: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The vectors (n, 3) whose products with a way give how far it goes along two others."""
+    """Return the dual basis (n, 3) of two vectors: dot products with it give the components of a vector along the two."""
     ss, ee, se = (np.einsum("ij,ij->i", a, b)[:, None] for a, b in ((south, south), (east, east), (south, east)))
     area = ss * ee - se * se
     return (ee * south - se * east) / area, (ss * east - se * south) / area
 
 
 def blocked_by_relief(world: World, elevation: Elevation, at: OverviewProbes, probes: Probes, rays: ProbeRays) -> np.ndarray:
-    """Which rays (1 + k, n) meet ground of the level before the light, bool; ``at`` is where their probes lie."""
+    """Return whether the ground blocks each ray (1 + k, n), bool. ``at`` holds the positions of the probes on the overview."""
     return _hidden(world, elevation, at, rays.start_frame_m - probes.point_frame_m, rays)
 
 
 def _hidden(world: World, elevation: Elevation, at: OverviewProbes, beside: np.ndarray, rays: ProbeRays) -> np.ndarray:
-    """Which rays (k, n) that start ``beside`` (k, n, 3) probes meet ground."""
+    """Return whether the ground blocks each ray (k, n). ``beside`` (k, n, 3) are the offsets of the starts from the probes."""
     heights, tops = _grid(elevation)
     along = rays.direction_frame
 
@@ -102,7 +115,7 @@ def _hidden(world: World, elevation: Elevation, at: OverviewProbes, beside: np.n
 
 @cached("scene", 256 * MIB)
 def _grid(elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
-    """The overview's heights, lowest in holes, and the highest of each block of cells and the ring of cells round it."""
+    """Return the overview's heights, with -1e9 for nodata, and the maximum of each block of cells with the ring round it."""
     from scipy.ndimage import maximum_filter
 
     heights = np.nan_to_num(elevation.overview.heights_m, nan=-1e9)
@@ -120,7 +133,7 @@ def _blocked(heights, tops, highest, side, row, col, height, d_row, d_col, rise,
         for n in range(row.shape[1]):
             out[i, n] = False
             fastest = max(abs(d_row[i, n]), abs(d_col[i, n]))
-            if not (fastest > 1e-12):  # straight up, or nowhere
+            if not (fastest > 1e-12):  # vertical, or NaN outside of the CRS
                 continue
             step = 1.0 / fastest
             t = nearest * step
@@ -131,7 +144,7 @@ def _blocked(heights, tops, highest, side, row, col, height, d_row, d_col, rise,
                     break
                 block_row, block_col = int(r) // side, int(c) // side
                 if rise[i, n] >= 0.0 and h > tops[block_row, block_col]:
-                    # To the far rim of the block; a rounding beyond it.
+                    # Step to the far edge of the block, and slightly beyond it because of rounding.
                     over = 1e-6
                     out_row = ((block_row + (d_row[i, n] > 0.0)) * side - r) / d_row[i, n] if d_row[i, n] != 0.0 else np.inf
                     out_col = ((block_col + (d_col[i, n] > 0.0)) * side - c) / d_col[i, n] if d_col[i, n] != 0.0 else np.inf
@@ -142,7 +155,7 @@ def _blocked(heights, tops, highest, side, row, col, height, d_row, d_col, rise,
                 if blend_corners(heights[r0, c0], heights[r0, c1], heights[r1, c0], heights[r1, c1], down, across) > h:
                     out[i, n] = True
                     break
-                # To the next row or column of cells: bilinear ground has its edges there.
+                # Step to the next row or column of cells, where bilinear ground has its edges.
                 next_row = (np.floor(r) + 1.0 - r if d_row[i, n] > 0.0 else np.ceil(r) - 1.0 - r) / d_row[i, n]
                 next_col = (np.floor(c) + 1.0 - c if d_col[i, n] > 0.0 else np.ceil(c) - 1.0 - c) / d_col[i, n]
                 if d_row[i, n] == 0.0:

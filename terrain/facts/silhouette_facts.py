@@ -1,9 +1,8 @@
-"""Silhouettes of the meshes under a light, as far as a choice needs to know: how many edges, how long they are in the picture,
-and how many sides of the shadow volumes behind them lie before what is seen.
+"""Measure the silhouettes of the meshes under a light: number of edges, length in the picture, and layers of shadow volumes.
 
-An edge is part of the silhouette if one of its triangles faces the light and the other does not, or if it is the rim of an open
-surface. A side is the strip from the edge away from the light without end (F. Crow 1977, "Shadow algorithms for computer
-graphics").
+An edge belongs to the silhouette if one of its triangles faces the light and the other does not, or if it is the boundary of an
+open surface. A side of a shadow volume is the infinite quad from a silhouette edge away from the light (F. Crow 1977, "Shadow
+algorithms for computer graphics").
 """
 
 from __future__ import annotations
@@ -21,16 +20,22 @@ if TYPE_CHECKING:
     from skugga.terrain.meshes.assemble import Placement
 
 MOST_SIDES = 4096
-"""Sides that are held against the eye's rays; of more, so many spread over all of them, each of which counts for others too."""
+"""Maximum number of shadow-volume sides that are tested against the eye's rays. More sides are sampled evenly and scaled up."""
 
 EYE_RAYS = 48
-"""Rays from the eye that are held against the sides."""
+"""Maximum number of rays from the eye that are tested against the sides."""
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeFaces:
-    """Edges of triangles: ``ends`` int32 (e, 2), vertex numbers, and the triangles beside each, int32 (e, 2); -1 where there is
-    none. Of an edge with more than two triangles, two.
+    """Edges of a mesh with their adjacent triangles.
+
+    Attributes
+    ----------
+    ends
+        Vertex numbers (e, 2), int32.
+    beside
+        Adjacent triangles (e, 2), int32; -1 is none. An edge of more than two triangles has two of them.
     """
 
     ends: np.ndarray
@@ -38,7 +43,7 @@ class EdgeFaces:
 
 
 def edge_faces_of(vertex: np.ndarray, triangles: np.ndarray) -> EdgeFaces:
-    """The edges of triangles (m, 3), where ``vertex`` (m, 3) are the same triangles with one number for vertices in one place."""
+    """Return the edges of triangles (m, 3). ``vertex`` (m, 3) are the same triangles with coincident vertices merged."""
     start, end = vertex.ravel().astype(np.int64), np.roll(vertex, -1, axis=1).ravel().astype(np.int64)
     low, high = np.minimum(start, end), np.maximum(start, end)
     keys = low * (int(high.max(initial=0)) + 1) + high
@@ -53,7 +58,7 @@ def edge_faces_of(vertex: np.ndarray, triangles: np.ndarray) -> EdgeFaces:
 
 @cached("scene", 256 * MIB)
 def _edges_of_bodies(placement: Placement) -> EdgeFaces:
-    """The edges of what casts, whatever the clock says: bodies share none."""
+    """Return the edges of all casting bodies, which do not depend on time. Bodies share no edges."""
     vertex, triangles, places, vertices = [], [], 0, 0
     for placed in placement.casting:
         merged = placed.body.merged_triangles
@@ -66,7 +71,7 @@ def _edges_of_bodies(placement: Placement) -> EdgeFaces:
 
 @cached("scene", 256 * MIB)
 def _faces(objects: SceneObjects) -> tuple[np.ndarray, np.ndarray]:
-    """Normals (m, 3), as long as twice the area, and corners (m, 3) of the triangles that cast, earth-fixed."""
+    """Return the normals (m, 3) and corners (m, 3) of the casting triangles, earth-fixed. Normals are twice the area long."""
     solids = objects.solids
     assert solids is not None
     a, b, c = np.moveaxis(solids.caster_vertices_earth_m[solids.caster_triangles], 1, 0)
@@ -74,8 +79,9 @@ def _faces(objects: SceneObjects) -> tuple[np.ndarray, np.ndarray]:
 
 
 def silhouette_of(objects: SceneObjects, light_earth: np.ndarray, at_place: bool) -> np.ndarray:
-    """Both ends (k, 2, 3) float64, earth-fixed metres, of the edges in the silhouette of a population's meshes under a light (3,):
-    a direction to it, or its place.
+    """Return both ends of the silhouette edges of the meshes, shape (k, 2, 3), float64, earth-fixed metres.
+
+    ``light_earth`` (3,) is the direction to the light, or its position if ``at_place``.
     """
     assert objects.solids is not None and objects.placement is not None
     edges, (normal, corner) = _edges_of_bodies(objects.placement), _faces(objects)
@@ -101,13 +107,13 @@ def _chosen(normal, corner, beside, light, weight):
 
 
 def length_px(ends_camera: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
-    """How long edges (k, 2, 3) in a camera's axes are inside of a picture, a tangent; its own go from ``low`` to ``high`` (2,)."""
+    """Return the total length of edges (k, 2, 3), in camera axes, inside a picture from ``low`` to ``high`` (2,), as tangents."""
     return float(_length(ends_camera, low, high))
 
 
 @compiled
 def _length(ends, low, high):
-    """Edges are cut at the pyramid's sides (M. Cyrus, J. Beck 1978), and then seen in perspective."""
+    """Clip edges at the sides of the view frustum (M. Cyrus, J. Beck 1978), project them and return their total length."""
     total = 0.0
     for e in range(len(ends)):
         first, last = 0.0, 1.0
@@ -139,14 +145,15 @@ def _length(ends, low, high):
 def layers_before(
     ends_earth_m: np.ndarray, light_earth: np.ndarray, at_place: bool, start_earth_m: np.ndarray, way_m: np.ndarray
 ) -> float:
-    """How many sides of shadow volumes, from edges (k, 2, 3) away from a light, lie across ways (n, 3) from starts (n, 3), in the
-    mean.
+    """Return the mean number of shadow-volume sides that rays cross.
+
+    The sides start at edges (k, 2, 3) and extend away from the light. The rays are segments ``way_m`` (n, 3) from starts (n, 3).
     """
     if not len(ends_earth_m) or not len(way_m):
         return 0.0
     count = min(len(ends_earth_m), MOST_SIDES)
     sampled_ends = ends_earth_m[(np.arange(count) * (len(ends_earth_m) / count)).astype(np.int64)]
-    near = start_earth_m[0]  # counted from here, the numbers are small
+    near = start_earth_m[0]  # origin near the rays, for precision
     light = light_earth - near if at_place else light_earth
     return (
         _passed(sampled_ends - near, start_earth_m - near, way_m, light, float(at_place)) / len(way_m) * len(ends_earth_m) / count
@@ -155,7 +162,10 @@ def layers_before(
 
 @compiled
 def _passed(ends, start, way, light, weight):
-    """How often rays pass strips from edges away from a light: from its ends a, b they go along a - l and b - l, or -l."""
+    """Count the crossings of rays with the strips from edges away from a light.
+
+    From the ends a and b of an edge a strip extends along a - l and b - l, or along -l if the light is a direction.
+    """
     passed = 0
     for e in range(len(ends)):
         a0, a1, a2 = ends[e, 0, 0], ends[e, 0, 1], ends[e, 0, 2]

@@ -1,5 +1,6 @@
-"""Scene and view -> probes: points that are seen, of the ground, of meshes and of trees, whatever the light; and in how many of a
-view's pixels something ends.
+"""Sample the visible points of a view as probes (ground, meshes and trees), and measure the share of pixels with an edge.
+
+Neither depends on the light.
 """
 
 from __future__ import annotations
@@ -25,23 +26,26 @@ from skugga.terrain.scene import Scene
 from skugga.terrain.scene_objects import SceneObjects
 
 MAP_SIDE = 48
-"""Probes of a map lie one in each of so many by so many parts of a level."""
+"""Number of strata along each side of a level. A map has one probe in each stratum."""
 
 AMONG_LEAVES = 2048
-"""Pixels of a look, at most, in which leaves are looked for."""
+"""Maximum number of samples of a coarse view whose rays are tested against leaves."""
 
 EDGES_AMONG_LEAVES = 300
-"""Pixels, at most, in which ends of leaves are: five rays each."""
+"""Maximum number of pixels that are tested for edges of leaves, with five rays each."""
 
 
 def probes_in_map(scene: Scene, pixel_m: float, trees: TreeInstances | None) -> Probes:
-    """Points of a level's ground, one in each of ``MAP_SIDE`` squared parts of its raster, or of what is seen from above there."""
+    """Return the probes of a map: one in each of ``MAP_SIDE`` squared strata of the raster, on the surface visible from above."""
     probes = _points_in_map(scene.objects, trees)
     return replace(probes, pixel_m=np.full(len(probes), pixel_m))
 
 
 def probes_in_view(coarse_view: CoarseView, view: PerspectiveView, trees: TreeInstances | None) -> Probes:
-    """All points of a coarse look; where there are trees, those of at most ``AMONG_LEAVES`` pixels, or of leaves before them."""
+    """Return the probes of a perspective view: all points of its coarse view.
+
+    In a scene with trees at most ``AMONG_LEAVES`` points are used, and leaves in front of them replace them.
+    """
     return _points_in_look(coarse_view, view.pixel) if trees is None else _among_leaves(coarse_view, view.pixel, trees)
 
 
@@ -80,13 +84,13 @@ def _among_leaves(coarse_view: CoarseView, pixel: float, trees: TreeInstances) -
 
 
 def edge_share(coarse_view: CoarseView, trees: TreeInstances | None) -> float:
-    """Share of a view's pixels in which something ends (``skugga.terrain.gbuffer.antialias``)."""
+    """Return the share of a view's pixels that contain an edge (``skugga.terrain.gbuffer.antialias``)."""
     return coarse_view.edge_share if trees is None else _edge_share_among_leaves(coarse_view, trees)
 
 
 @cached("scene", MIB)
 def _edge_share_among_leaves(coarse_view: CoarseView, trees: TreeInstances) -> float:
-    """The share without the trees, known from many pixels, and what they change about it in some of these."""
+    """Return the edge share with trees: the share without trees from many pixels, plus the difference measured in some of them."""
     crosses = coarse_view.crosses
     chosen = stratified_indices(len(crosses.number), EDGES_AMONG_LEAVES)
     number, depth_m = crosses.number[chosen], crosses.away_m[chosen]
@@ -103,7 +107,7 @@ def _edge_share_among_leaves(coarse_view: CoarseView, trees: TreeInstances) -> f
     start = np.tile(coarse_view.eye_frame_m, (number.size, 1))
     met, _ = first_leaf_hits(trees, start, direction.reshape(-1, 3), (depth_m * per_depth).ravel())
     leaf = np.isfinite(met).reshape(number.shape)
-    # Leaves side by side are told apart by their distance alone, whichever tree they are of: no two have the same number.
+    # Every leaf gets a unique number, so that only distance decides whether an edge lies between neighbouring leaves.
     numbers = crosses.ground + len(crosses.normals) + 1 + np.arange(number.size).reshape(number.shape)
     number = np.where(leaf, numbers.astype(np.uint32), number)
     depth_m = np.where(leaf, met.reshape(number.shape) / per_depth, depth_m)
@@ -112,7 +116,7 @@ def _edge_share_among_leaves(coarse_view: CoarseView, trees: TreeInstances) -> f
 
 
 def _joined(bare: Probes, leaves: Probes) -> Probes:
-    """Both, numbered anew."""
+    """Concatenate two sets of probes and renumber them."""
     names = ("point_frame_m", "normal_frame", "pixel_m", "away_m", "kind")
     both: dict[str, Any] = {name: np.concatenate([getattr(bare, name), getattr(leaves, name)]) for name in names}
     return replace(bare, **both, number=np.arange(len(bare) + len(leaves)))
@@ -125,7 +129,7 @@ def _points_in_map(objects: SceneObjects, trees: TreeInstances | None) -> Probes
     up = np.column_stack([away, np.ones(len(bare))]) / np.sqrt(1.0 + (away**2).sum(axis=1))[:, None]
     start, length = bare.point_frame_m + tallest_m * up, np.full(len(bare), tallest_m)
     if objects.solids is not None:
-        start, length = start + tallest_m * up, 2.0 * length  # higher than what stands on a slope beside
+        start, length = start + tallest_m * up, 2.0 * length  # above objects that stand on a slope nearby
         bare, length = _with_roofs(objects, bare, start, -up, length)
     if trees is None:
         return bare
@@ -142,7 +146,7 @@ def _points_in_map(objects: SceneObjects, trees: TreeInstances | None) -> Probes
 def _with_roofs(
     objects: SceneObjects, bare: Probes, start: np.ndarray, down: np.ndarray, length: np.ndarray
 ) -> tuple[Probes, np.ndarray]:
-    """The probes, those below meshes on top of them, and how far below the starts (n, 3) they lie (n,)."""
+    """Move the probes below meshes onto the meshes. Return them and their depths (n,) below the starts (n, 3), metres."""
     met, normal = first_mesh_hits(objects, bare.frame, start, down, length)
     roof = np.isfinite(met)
     length = np.where(roof, met, length)
@@ -154,7 +158,7 @@ def _with_roofs(
 
 @cached("scene", 64 * MIB)
 def ground_points(world: World, elevation: Elevation) -> Probes:
-    """Points of a level's bare ground, bilinear between the cells of its overview."""
+    """Return stratified points of a level's bare ground, bilinear between the cells of its overview."""
     heights, factor = elevation.overview.heights_m, 2**elevation.overview.level
     chance = quasirandom(np.arange(MAP_SIDE**2)).reshape(MAP_SIDE, MAP_SIDE, 2)
     part = np.stack(tuple(np.mgrid[:MAP_SIDE, :MAP_SIDE]), axis=-1)
@@ -166,7 +170,7 @@ def ground_points(world: World, elevation: Elevation) -> Probes:
         point, up = world.ground(elevation.crs, *elevation.xy((row + 0.5) * factor - 0.5, (col + 0.5) * factor - 0.5))
         return frame.points_from_earth(point + bilinear(heights, row, col)[:, None] * up)
 
-    # Differences over a hundredth of a cell that never leave the cell, whose surface they are the slope of.
+    # The slope is the difference over a hundredth of a cell, always inside the same cell.
     step_row, step_col = (np.where(v - np.floor(v) > 0.5, -0.01, 0.01) for v in (row, col))
     point = at(row, col)
     south, east = (at(row + step_row, col) - point) / step_row[:, None], (at(row, col + step_col) - point) / step_col[:, None]
