@@ -1,1 +1,1 @@
-"""Level files: what an author writes, as validated values, and the data sets that come with Skugga."""
+"""Level files as validated values, and the bundled data sets."""

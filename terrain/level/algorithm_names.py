@@ -1,4 +1,7 @@
-"""The names of shadow algorithms that a level may ask for. What they are is said by ``skugga.shadows.registry``, a floor above."""
+"""Names of the shadow algorithms that a level file may use.
+
+``skugga.shadows.registry``, a higher layer, registers the algorithms themselves.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +11,20 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
 ALGORITHM_NAMES = ["shadow_map", "perspective_shadow_map", "shadow_volume", "hybrid", "planar", "sweep", "truth", "none"]
-"""All names. ``skugga.shadows.registry.register_algorithm`` adds to them, so nobody keeps a copy."""
+"""All names. ``skugga.shadows.registry.register_algorithm`` adds to this list, so do not copy it."""
 
 
 REFERENCE_NAMES = ["truth"]
-"""Those of references, with which others are compared: no service draws by them. ``register_algorithm`` keeps them, too."""
+"""Names of reference algorithms, to which others are compared. No service draws with them. ``register_algorithm`` adds to them."""
 
 
 def served_algorithms() -> tuple[str, ...]:
-    """Return the names that a request over HTTP may ask for."""
+    """Return the names that an HTTP request may use."""
     return tuple(name for name in ALGORITHM_NAMES if name not in REFERENCE_NAMES)
 
 
 class _OneOfThem:
-    """Holds a string to the names of the moment."""
+    """Validator of a string: one of the names that are registered when it runs."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_after_validator_function(_known, handler(source))

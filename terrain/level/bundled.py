@@ -1,4 +1,4 @@
-"""Data sets that come with Skugga: real heights that an installed wheel already carries, so that no download is needed."""
+"""Bundled data sets: real heights from files of installed packages, so that no download is needed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ def _write(heights: np.ndarray, crs: CRS, transform: Affine, nodata: float | Non
 
 
 def _sample_data(name: str) -> Path:
-    """A file of matplotlib's sample data. It lies in the package, whose import takes a fifth of a second, or elsewhere."""
+    """Return the path of a file of matplotlib's sample data.
+
+    Looks in the package's folder without importing it, because the import takes a fifth of a second. Asks matplotlib otherwise.
+    """
     package = find_spec("matplotlib")
     for folder in () if package is None else package.submodule_search_locations or ():
         file = Path(folder) / "mpl-data" / "sample_data" / name
@@ -41,18 +44,18 @@ def _sample_data(name: str) -> Path:
 
 @cached("process", 64 * MIB, size_of=len)
 def _jacksboro() -> MemoryFile:
-    """SRTM heights round the Jacksboro fault, 3 arc seconds, from matplotlib's sample data."""
+    """Return SRTM heights around the Jacksboro fault, 3 arc seconds, from matplotlib's sample data."""
     with np.load(_sample_data("jacksboro_fault_dem.npz")) as data:
-        # "ymax" is the raster's north edge. Row 0 is the northernmost, and with it there the highest cell is Cross Mountain
-        # (36.1983 N). "ymin" is no edge: it lies as far north of "ymax" as the raster reaches south of it. "xmin" and "ymax" are
-        # edges of cells, not centres: cells are centred on multiples of 3 arc seconds then, where SRTM has its heights.
+        # "ymax" is the raster's north edge. Row 0 is the northernmost row: with this edge the highest cell is Cross Mountain
+        # (36.1983 N). "ymin" is not an edge: it lies as far north of "ymax" as the raster extends south of it. "xmin" and "ymax"
+        # are cell edges, not centres: cell centres are then multiples of 3 arc seconds, where SRTM has its heights.
         transform = Affine(float(data["dx"]), 0, float(data["xmin"]), 0, -float(data["dy"]), float(data["ymax"]))
         return _write(data["elevation"], CRS.from_epsg(4326), transform, None)
 
 
 @cached("process", 64 * MIB, size_of=len)
 def _jacksboro_utm() -> MemoryFile:
-    """The same heights warped to 30 m in UTM zone 16N, bicubic."""
+    """Return the heights of ``_jacksboro`` resampled to 30 m in UTM zone 16N, bicubic."""
     with _jacksboro().open() as source:
         crs = CRS.from_epsg(32616)
         transform, cols, rows = calculate_default_transform(
@@ -67,4 +70,4 @@ def _jacksboro_utm() -> MemoryFile:
 
 
 BUNDLED: dict[str, Callable[[], MemoryFile]] = {"jacksboro": _jacksboro, "jacksboro_utm": _jacksboro_utm}
-"""Name of a data set -> the raster in memory, made once per process."""
+"""Name of a data set -> function that returns the raster in memory, cached per process."""

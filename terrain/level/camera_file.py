@@ -1,5 +1,6 @@
-"""Camera files: key positions with times (YAML), as validated values. The way between them is that of
-``skugga.terrain.camera_path``.
+"""Camera files: YAML files of key positions with times, as validated values.
+
+``skugga.terrain.camera_path`` interpolates between the keys.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 from ruamel.yaml.error import YAMLError
 
-from skugga.terrain.errors import Problem, LevelError
+from skugga.terrain.errors import LevelError, Problem
 from skugga.terrain.level.data_files import special_kind
 from skugga.terrain.level.durations import parse_duration
 from skugga.terrain.level.level_errors import level_error
@@ -22,19 +23,19 @@ from skugga.terrain.level.model import Model, Position
 from skugga.terrain.level.parts import PixelCount, time_of
 
 MOST_KEYS = 1000
-"""Of a camera path."""
+"""Maximum number of keys of a camera path."""
 
 MOST_FILE_CHARACTERS = 2**20
-"""Of a camera file: far more than ``MOST_KEYS`` keys need."""
+"""Maximum length of a camera file: far more than ``MOST_KEYS`` keys need."""
 
-AT_WORDS = "a time since the film's first frame, as 0s, 90s or 10m, or an ISO 8601 time with an offset"
-"""What the time of a key has to be."""
+AT_WORDS = "a time since the first frame, such as 0s, 90s or 10m, or an ISO 8601 time with an offset"
+"""The allowed times of a key, for messages."""
 
-_READABLE = "a readable YAML file with keys of a camera"
+_READABLE = "Use a readable YAML file of camera keys"
 
 
 def _as_text(value: Any) -> Any:
-    """The text of a key's time: YAML makes a time of one that has no quotes."""
+    """Return the text of a key's time. YAML parses an unquoted date to a ``datetime``, which becomes text again."""
     text = value.isoformat() if isinstance(value, datetime) else value
     if not isinstance(text, str) or (_elapsed_s(text) is None and _moment(text) is None):
         raise PydanticCustomError("at", AT_WORDS)
@@ -57,7 +58,7 @@ def _moment(text: str) -> datetime | None:
 
 
 class CameraKey(Model):
-    """Where the camera is at a time, and what it looks at: ``eye``, ``target`` and ``fov`` as of a level's perspective views."""
+    """The camera at one time: ``eye``, ``target`` and ``fov`` are those of a level's perspective views."""
 
     at: Annotated[str, BeforeValidator(_as_text)]
     eye: Position
@@ -72,18 +73,19 @@ class CameraKey(Model):
 
     @property
     def elapsed_s(self) -> float | None:
-        """Seconds since the film's first frame; ``None`` where the key has a date."""
+        """Seconds since the film's first frame; ``None`` if the key has a date."""
         return _elapsed_s(self.at)
 
     @property
     def moment(self) -> datetime | None:
-        """The date and time of the key; ``None`` where it is counted from the first frame."""
+        """Date and time of the key; ``None`` if its time counts from the first frame."""
         return None if self.elapsed_s is not None else _moment(self.at)
 
 
 class CameraPathSpec(Model):
-    """A camera's way: keys in the order of their times, which are all counted from the first frame, or all dates. ``size`` is
-    that of the pictures, (width, height).
+    """A camera path: keys in the order of their times.
+
+    Either all times count from the first frame, or all are dates. ``size`` is that of the pictures, (width, height) in pixels.
     """
 
     keys: Annotated[tuple[CameraKey, ...], Field(min_length=2, max_length=MOST_KEYS)]
@@ -94,19 +96,22 @@ class CameraPathSpec(Model):
         dated = self.keys[0].moment is not None
         for number, (key, following) in enumerate(pairwise(self.keys), start=1):
             if (following.moment is not None) != dated:
-                words = f"{'a date' if dated else 'a time since the first frame'}, as the first key has"
+                words = f"{'a date' if dated else 'a time since the first frame'}, as in the first key"
             elif following.moment is not None and key.moment is not None and following.moment > key.moment:
                 continue
             elif following.elapsed_s is not None and key.elapsed_s is not None and following.elapsed_s > key.elapsed_s:
                 continue
             else:
-                words = f"a time later than that of the key before, {key.at}"
+                words = f"a time later than {key.at}, the time of the previous key"
             problem = InitErrorDetails(type=PydanticCustomError("at", words), loc=("keys", number, "at"), input=following.at)
             raise ValidationError.from_exception_data("CameraPathSpec", [problem])
         return self
 
     def times_s(self, start: datetime | None) -> tuple[float, ...]:
-        """The keys' times in seconds since the first frame, whose date is ``start``. Dates alone need one: ``ValueError``."""
+        """Return the times of the keys in seconds since the first frame.
+
+        ``start`` is the date of the first frame. It is needed only if the keys have dates; raises ``ValueError`` without it.
+        """
         out = []
         for key in self.keys:
             if key.elapsed_s is not None:
@@ -114,14 +119,14 @@ class CameraPathSpec(Model):
             elif key.moment is not None and start is not None:
                 out.append((key.moment - start).total_seconds())
             else:
-                raise ValueError("keys with dates need the date of the first frame")
+                raise ValueError("start: missing. Keys with dates need the date of the first frame.")
         return tuple(out)
 
 
 def load_camera_path(path: Path) -> CameraPathSpec:
-    """Read and check a camera file. Raises ``LevelError``, with a line for each key that is wrong."""
+    """Read and validate a camera file. Raises ``LevelError``, with one line for each wrong key."""
     if (kind := special_kind(path)) is not None:
-        raise LevelError(str(path), Problem(kind), _READABLE)
+        raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE)
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(MOST_FILE_CHARACTERS + 1)
@@ -129,15 +134,15 @@ def load_camera_path(path: Path) -> CameraPathSpec:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
         raise LevelError(str(path), Problem(reason), _READABLE) from None
     if len(text) > MOST_FILE_CHARACTERS:
-        raise LevelError(str(path), Problem(f"more than {MOST_FILE_CHARACTERS} characters"), _READABLE)
+        raise LevelError(str(path), Problem(f"more than {MOST_FILE_CHARACTERS} characters"), "Use a shorter file")
     try:
         data = parse_level_text(text)
     except YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f"{path}: line {mark.line + 1}" if mark else str(path)
-        raise LevelError(where, Problem(getattr(error, "problem", None) or "broken YAML"), "well-formed YAML 1.2") from None
-    except (ValueError, RecursionError) as error:  # a date that is none, brackets without end
-        raise LevelError(str(path), Problem(str(error)), "well-formed YAML 1.2") from None
+        raise LevelError(where, Problem(getattr(error, "problem", None) or "broken YAML"), "Use well-formed YAML 1.2") from None
+    except (ValueError, RecursionError) as error:  # an impossible date, or too deeply nested brackets
+        raise LevelError(str(path), Problem(str(error)), "Use well-formed YAML 1.2") from None
     if not isinstance(data, dict):
         raise LevelError(str(path), data, "a mapping with the key 'keys'")
     try:

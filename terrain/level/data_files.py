@@ -1,4 +1,7 @@
-"""What may be opened as data: regular files, that lead to nothing but more of them, and what is read through GDAL's addresses."""
+"""Checks of data files before they are opened.
+
+Allowed are regular files that refer to regular files only, and the remote addresses and virtual file systems of GDAL.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +19,13 @@ _KINDS = (
     (stat.S_ISSOCK, "a socket"),
 )  # fmt: skip
 
-_ALLOWED = "a regular file"
+_ALLOWED = "Use a regular file"
 
 
 def special_kind(path: Path | str) -> str | None:
-    """What a path leads to that is no regular file, in words; ``None`` for a regular file, and where there is nothing.
+    """Return the kind of a path that is not a regular file, in words, such as "a pipe".
 
-    Reading from a device or a pipe may never end.
+    Returns ``None`` for a regular file and for a path that does not exist. Reading from a device or a pipe may never end.
     """
     try:
         mode = os.stat(path).st_mode
@@ -32,27 +35,31 @@ def special_kind(path: Path | str) -> str | None:
 
 
 def check_file(source: str) -> None:
-    """Raise ``SourceError`` for what is there and no regular file, and for what leads to such a one."""
+    """Raise ``SourceError`` if a file, or a file that it refers to, exists but is not a regular file."""
     for each in (source, *linked_files(source)):
         if not is_remote(each) and (kind := special_kind(each)) is not None:
-            raise SourceError(source, kind if each == source else f"leads to {each}, {kind}", _ALLOWED)
+            raise SourceError(source, f"{kind}, not a regular file" if each == source else f"refers to {each}, {kind}", _ALLOWED)
 
 
 def check_geodata(source: str) -> None:
-    """Raise ``SourceError`` for what GDAL shall not open: neither a regular file nor a folder (some formats are folders), or a
-    virtual raster that leads to such a thing, takes the bytes of any file for cells, or has code in it.
+    """Raise ``SourceError`` for a source that GDAL must not open.
+
+    A source and the files that it refers to must be regular files or folders, since some formats are folders. A virtual raster
+    (VRT) must not read the raw bytes of a file as cells, contain another VRT as text, or contain Python code.
     """
     for each in (source, *linked_files(source)):
         if is_remote(each):
             continue
         if each.startswith("<"):
-            raise SourceError(source, "a virtual file inside of another", "virtual rasters of files")
+            raise SourceError(source, "a virtual file that contains another one as text", "Use a virtual file that names its parts")
         kind = special_kind(each)
         if kind not in (None, FOLDER):
-            raise SourceError(source, kind if each == source else f"leads to {each}, {kind}", _ALLOWED)
+            raise SourceError(source, f"{kind}, not a regular file" if each == source else f"refers to {each}, {kind}", _ALLOWED)
         root = None if kind == FOLDER else vrt_elements(Path(each))
         for element in () if root is None else root.iter():
             if element.get("subClass") == "VRTRawRasterBand":
-                raise SourceError(source, f"a band of raw bytes, in {Path(each).name}", "virtual rasters of rasters")
+                raise SourceError(
+                    source, f"a band of raw bytes in {Path(each).name}", "Use a virtual raster whose parts are rasters"
+                )
             if element.tag == "PixelFunctionLanguage" and (element.text or "").strip().lower() == "python":
-                raise SourceError(source, f"a band made by a Python function, in {Path(each).name}", "virtual rasters without code")
+                raise SourceError(source, f"a band with Python code in {Path(each).name}", "Use a virtual raster without code")

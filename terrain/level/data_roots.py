@@ -1,6 +1,6 @@
-"""The folders that a level and all that it leads to have to lie in, where there are such.
+"""Confine a level and all files that it refers to, directly or indirectly, to given folders.
 
-Symbolic links are followed, and what GDAL itself opens beside a raster is looked at.
+Symbolic links are resolved first. The files that GDAL opens along with a raster, such as overviews, are checked too.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from skugga.terrain.errors import Problem, LevelError, SourceError
+from skugga.terrain.errors import LevelError, Problem, SourceError
 from skugga.terrain.level.linked_files import files_beside, is_remote
 from skugga.terrain.level.rasters import open_raster
 
@@ -22,38 +22,38 @@ _ELSEWHERE = re.compile(r"/vsi(?:curl|s3|gs|az|adls|oss|swift|webhdfs|hdfs|mem)(
 
 
 class LevelFiles(Protocol):
-    """The files of a level that was read: ``LoadedLevel`` has them."""
+    """The files of a level that was read. ``LoadedLevel`` implements it."""
 
     @property
     def path(self) -> Path:
-        """The level's file."""
+        """Path of the level file."""
 
     @property
     def archives(self) -> Sequence[Path]:
-        """Its archives of tiles."""
+        """Paths of its tile archives."""
 
     @property
     def linked_sources(self) -> Sequence[str]:
-        """The files and addresses that it leads to."""
+        """Files and addresses that the level refers to, directly or indirectly."""
 
 
 class DataRoots:
-    """Folders, some of which may not be there. Raises ``LevelError`` for what does not lie in one of them, or below."""
+    """Allowed folders, which need not exist. The checks raise ``LevelError`` for a file outside all of them."""
 
     def __init__(self, roots: Sequence[Path]) -> None:
         self._roots = tuple(dict.fromkeys(os.path.realpath(root) for root in roots))
 
     def check_path(self, level: Path, file: str) -> None:
-        """Look at a file or folder, which need not be there, or at an address."""
+        """Check a file or folder, which need not exist, or an address. All links in a folder are checked."""
         local = _local_path(file) if is_remote(file) else file
-        if local is None or local.startswith("<"):  # a virtual file inside of another is never opened
+        if local is None or local.startswith("<"):  # a VRT as text is never opened
             return
         real = self._real(local)
         if not any(real == root or real.startswith(root.rstrip(os.sep) + os.sep) for root in self._roots):
-            where = file if real == os.path.abspath(local) else f"{file}, which leads to {real}"
+            where = file if real == os.path.abspath(local) else f"{file}, which resolves to {real},"
             raise LevelError(
-                str(level), Problem(f"{where} is in none of the folders of levels and data"),
-                f"{', '.join(self._roots)}; SKUGGA_DATA_ROOTS allows other folders",
+                str(level), Problem(f"{where} lies outside the folders of levels and data"),
+                f"Move it into one of {', '.join(self._roots)}, or add its folder to SKUGGA_DATA_ROOTS",
             )  # fmt: skip
         if os.path.isdir(real):
             for folder, folders, names in os.walk(real):
@@ -61,7 +61,7 @@ class DataRoots:
                     self.check_path(level, link)
 
     def check_level(self, loaded: LevelFiles) -> None:
-        """Look at a level's file, all that it leads to, and what lies beside that."""
+        """Check a level file, its archives, all files that it refers to, and the links among their sidecar files."""
         for archive in loaded.archives:
             self.check_path(loaded.path, str(archive))
         for file in (str(loaded.path), *loaded.linked_sources):
@@ -71,13 +71,18 @@ class DataRoots:
                     self.check_path(loaded.path, beside)
 
     def check_opened(self, loaded: LevelFiles) -> None:
-        """Look at what GDAL says that it opens for the level's rasters: text that leads to a file has many forms."""
+        """Check the files that GDAL reports to open for the level's rasters.
+
+        This finds references that ``linked_files`` does not know, since formats write them in many ways.
+        """
         known = dict.fromkeys(each for each in loaded.linked_sources if not is_remote(each))
         waiting = list(known)
         while waiting:
             for file in _opened_with(waiting.pop()):
                 if not is_remote(file) and not os.path.lexists(file):
-                    raise LevelError(str(loaded.path), Problem(f"leads to {file}, which is no file"), "rasters that are files")
+                    raise LevelError(
+                        str(loaded.path), Problem(f"refers to {file}, which does not exist"), "Use rasters whose parts are files"
+                    )
                 self.check_path(loaded.path, file)
                 if file not in known:
                     known[file] = None
@@ -92,7 +97,10 @@ class DataRoots:
 
 
 def _local_path(address: str) -> str | None:
-    """The file of this machine that an address is of, or the address where that is not known; ``None`` if it is elsewhere."""
+    """Return the local file that an address stands for.
+
+    Returns the address itself if that is not known, and ``None`` for a remote address.
+    """
     inside = _ARCHIVES.sub("", address, count=1) if address.startswith("/vsi") else address
     if "file:" in address.lower():
         return address
@@ -105,13 +113,13 @@ def _local_path(address: str) -> str | None:
 
 
 def _opened_with(file: str) -> Iterable[str]:
-    """The files that GDAL opens for a raster, with its overviews; none for what is no raster."""
+    """Return the files that GDAL opens for a raster and its overviews; none if the file is not a raster."""
     from rasterio.errors import RasterioError
 
     try:
         with warnings.catch_warnings(action="ignore"), open_raster(file) as dataset:
             if dataset.count:
-                dataset.overviews(1)  # else they are not among the files
+                dataset.overviews(1)  # without this call ``files`` lacks the overviews
             return list(dataset.files)
     except (RasterioError, SourceError):
         return ()

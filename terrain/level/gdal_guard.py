@@ -1,7 +1,7 @@
-"""What GDAL is kept from, and how much it keeps, whoever asks it: by its own settings, in the environment of this process and of
-those that it starts.
+"""Security and cache settings of GDAL, as environment variables of this process and of its child processes.
 
-Both GDALs of a process (rasterio and pyogrio bring one each) read the environment, drivers' names when they are first used.
+A process has two copies of GDAL, one from rasterio and one from pyogrio. Both read the environment. They read ``GDAL_SKIP``, the
+drivers to skip, when they are first used.
 """
 
 from __future__ import annotations
@@ -13,44 +13,45 @@ REMOTE_DRIVERS = (
     "MRF", "NGW", "OAPIF", "OGCAPI", "PLMOSAIC", "PLSCENES", "PostGISRaster", "PostgreSQL", "STACIT", "STACTA", "WCS", "WFS",
     "WMS", "WMTS",
 )  # fmt: skip
-"""Drivers by which a file leads to a service, or a program is run."""
+"""GDAL drivers with which a file can refer to a network service or run a program."""
 
 NO_CODE = {"GDAL_VRT_ENABLE_PYTHON": "NO"}
 
 NO_REMOTE_READS = {
     "GDAL_SKIP": ",".join(REMOTE_DRIVERS),
-    "CPL_VSIL_CURL_ALLOWED_FILENAME": "/vsicurl/none",  # the only file that its virtual file systems may ask for
-    "GDAL_HTTP_PROXY": "127.0.0.1:9",  # the discard port: where drivers ask the web by themselves, nobody answers
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "/vsicurl/none",  # the only file that GDAL's network file systems may request
+    "GDAL_HTTP_PROXY": "127.0.0.1:9",  # the discard port: requests that drivers send by themselves fail
     "GDAL_HTTP_MAX_RETRY": "0",
     "GML_DOWNLOAD_SCHEMA": "NO",
     "PROJ_NETWORK": "OFF",
 }
-"""Settings under which nothing is read from other machines, whatever a file leads to."""
+"""GDAL and PROJ settings that block all network reads, whatever a file refers to."""
 
 
 CACHE_LIMITS = {
-    "GDAL_CACHEMAX": "128",  # MB of cells as read, each process; GDAL's own 5 % of the machine's memory are gigabytes
-    "GDAL_MAX_DATASET_POOL_SIZE": "100",  # parts of virtual rasters that are open: each is a file descriptor
-    "GDAL_MAX_DATASET_POOL_RAM_USAGE": "128MB",  # and what they take, of which GDAL's own limit is a quarter of the machine's
+    "GDAL_CACHEMAX": "128",  # MB of raster blocks per process; GDAL's default of 5 % of RAM is gigabytes
+    "GDAL_MAX_DATASET_POOL_SIZE": "100",  # open parts of virtual rasters: each takes a file descriptor
+    "GDAL_MAX_DATASET_POOL_RAM_USAGE": "128MB",  # memory of these parts; GDAL's default is a quarter of RAM
 }
-"""What GDAL may keep in a process, where the environment does not say it."""
+"""Limits of GDAL's caches in a process, unless the environment sets them."""
 
 
 def cap_caches() -> None:
-    """Bound what GDAL keeps in this process and in those that it starts from now on; what the environment says goes before. To be
-    called before the first raster is opened.
+    """Limit GDAL's caches in this process and in child processes that it starts later.
+
+    Variables that are already set keep their values. Call this before the first raster is opened.
     """
     for name, value in CACHE_LIMITS.items():
         os.environ.setdefault(name, value)
 
 
 def forbid_code() -> None:
-    """Virtual rasters run no Python."""
+    """Forbid Python code in virtual rasters."""
     os.environ.update(NO_CODE)
 
 
 def forbid_remote_reads() -> None:
-    """Nothing is read from other machines. To be called before the first file is opened."""
+    """Block network reads of GDAL and PROJ. Call this before the first file is opened."""
     os.environ.update(NO_REMOTE_READS)
-    # Where GDAL tells of drivers to skip that it does not have. What a read fails by is raised, not written there.
+    # GDAL logs the drivers in GDAL_SKIP that it does not have. Errors of reads are raised, not logged there.
     os.environ.setdefault("CPL_LOG", os.devnull)

@@ -1,7 +1,7 @@
-"""Level files: what a scene is made of, as an immutable, validated value.
+"""Level files: the description of a scene, as an immutable, validated value.
 
-A level is YAML 1.2 (so `on` and `off` are words, not booleans). Every error names the file, the key's path, the value
-and what is allowed.
+A level is YAML 1.2, in which `on` and `off` are strings, not booleans. Every error names the file, the key's path, the value
+and the allowed values.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 from pydantic_core import InitErrorDetails, PydanticCustomError
 from ruamel.yaml.error import YAMLError
 
-from skugga.terrain.errors import Problem, InputError, LevelError, printable
+from skugga.terrain.errors import InputError, LevelError, Problem, printable
 from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES, AlgorithmName
 from skugga.terrain.level.data_files import special_kind
 from skugga.terrain.level.data_roots import DataRoots
@@ -47,33 +47,33 @@ EffectName = Literal[
     "refraction", "cast_shadows", "alpha_test", "soft_edges", "outside_casters",
     "ground_detail", "snow", "crowns", "clouds", "sky_view", "lamps", "water", "haze",
 ]  # fmt: skip
-"""Effects: each is the file of its name in ``skugga.terrain.effects``; those of one stage run in this order."""
+"""Names of effects, each a module of ``skugga.terrain.effects``. The effects of one stage run in this order."""
 
 CasterKind = Literal["relief", "meshes", "forest"]
-"""What can cast: the heightfield, buildings and models, alpha-tested trees."""
+"""Kinds of shadow casters: the heightfield, the meshes (buildings and models), and the alpha-tested trees."""
 
 SUN = "sun"
-"""The sun's name among the lights."""
+"""Name of the sun among the lights."""
 
 LightName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
 
 AlgorithmOverride = dict[str, dict[CasterKind, AlgorithmName]]
-"""An override of the algorithm: light -> caster kind -> name; whatever it leaves out is chosen by the selector."""
+"""Override of the algorithm: light -> caster kind -> name. The selector chooses for all others."""
 
 
 class ShadowSettings(Model):
-    """How shadows are to be drawn: what can be pinned; ``auto`` leaves a choice to the selector.
+    """Shadow settings that a level or a request can pin. With ``auto`` the selector chooses.
 
-    A setting is declared here and nowhere else. Its type, limits and description make the options of ``skugga render`` and
-    ``skugga select``, the parameters over HTTP and what crosses to render processes; ``Requests`` says where it is taken, if
-    that is not everywhere.
+    Each setting is declared here only. Its type, limits and description define the options of ``skugga render`` and
+    ``skugga select``, the HTTP parameters and the messages to render processes. ``Requests`` names the front ends that accept
+    it, if not all do.
     """
 
     algorithm: Annotated[
         Literal["auto"] | AlgorithmName | dict[str, Any], Requests(spelt=Annotated[str, Field(max_length=200)])
     ] = Field(default="auto", description="`auto`, a name, or `relief=NAME,forest=NAME,LIGHT=NAME`.", examples=["auto"])
     map_size: Literal["auto"] | Annotated[int, Field(ge=64, le=8192)] = Field(
-        default="auto", description="Size of a shadow map: texels a side.", examples=[1024]
+        default="auto", description="Size of a shadow map: texels per side.", examples=[1024]
     )
     cascades: Annotated[Literal["auto", 1, 2, 3, 4], Requests(take=("render", "select", "plans"))] = Field(
         default="auto", description="Number of cascades: shadow maps of a perspective view, each for a range of distances."
@@ -81,16 +81,16 @@ class ShadowSettings(Model):
     depth_bits: Literal["auto", 16, 24, 32] = Field(default="auto", description="Bits of depth of a shadow map.")
     filter: Literal["auto", 1, 2, 3, 5, "sun"] = Field(
         default="auto",
-        description="Filter of shadows: a map's taps a side, or `sun` for the penumbra of the sun's disc, or of a lamp's radius.",
+        description="Shadow filter: taps per side in a map, or `sun` for the penumbra of the sun's disc or of a lamp's radius.",
     )
     fit: Annotated[Literal["auto", "stable", "tight"], Requests(take=("render", "select"))] = Field(
-        default="auto", description="Fit of a shadow map: on a lattice fixed to the ground, or tight round the view."
+        default="auto", description="Fit of a shadow map: on a lattice fixed to the ground, or tight around the view."
     )
     bias: Literal["auto", "receiver_plane", "normal_offset", "polygon_offset"] = Field(
-        default="auto", description="Bias of a shadow map: what keeps a surface from shading itself."
+        default="auto", description="Bias of a shadow map, which keeps a surface from shading itself."
     )
     culling: Literal["auto", "none", "front"] = Field(
-        default="auto", description="Culling: faces of closed bodies that are left out of a shadow map."
+        default="auto", description="Culling: faces of closed bodies that a shadow map omits."
     )
     stencil: Literal["auto", "one_pass", "two_pass"] = Field(
         default="auto", description="Stencil passes of shadow volumes: both sides at once, or one after the other."
@@ -100,18 +100,18 @@ class ShadowSettings(Model):
         description="Stencil counting of shadow volumes: z-pass or z-fail as each caster needs, or z-fail for all.",
     )
     mask: Literal["auto", "conservative", "original"] = Field(
-        default="auto", description="Mask of the hybrid: how it finds the pixels left to shadow volumes."
+        default="auto", description="Mask of the hybrid: how it finds the pixels for shadow volumes."
     )
 
     @field_validator("algorithm")
     @classmethod
     def _known(cls, value: Any) -> Any:
-        expand_override(value, lights_named(value))  # whether the level has such lights is checked there
+        expand_override(value, lights_named(value))  # ``Level`` checks whether these lights exist
         return value
 
 
 class Shadows(ShadowSettings):
-    """What is asked of the shadows: how they are to be drawn, and the target where that is left to the selector."""
+    """Requested shadows: their settings, and the error and time limits for the choices of the selector."""
 
     max_error: Annotated[FiniteFloat, Requests(take=("select", "plans"))] = Field(
         default=0.03, ge=0, le=1, description="Error limit: share of the cast shadow that may be wrong.", examples=[0.03]
@@ -124,49 +124,50 @@ class Shadows(ShadowSettings):
     )
 
     def pin_for(self, view: str, sun_altitude_deg: float | None) -> int | None:
-        """The number of the pin that holds for a view under a sun (``None``: without one); a request has none."""
+        """Return the number of the pin that applies to a view and a sun altitude (``None``: no sun). A request has no pins."""
         return None
 
     @property
     def all_settings(self) -> dict[str, ShadowSettings]:
-        """All that may come to be asked for, by its key in a level file."""
+        """All settings that may apply, by their key in a level file."""
         return {"shadows": self}
 
 
 class Pin(PinScope, ShadowSettings):
-    """Settings for some views and suns of a level. Those that it names go before the level's own."""
+    """Settings for some views and sun altitudes of a level. They take precedence over the level's own settings."""
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The settings that it names."""
+        """The settings that the pin sets."""
         return self.model_dump(include=self.model_fields_set & ShadowSettings.model_fields.keys())
 
     @model_validator(mode="after")
     def _pins_something(self) -> Pin:
         if not self.settings:
-            raise PydanticCustomError("pin", "one of {keys} besides", {"keys": ", ".join(ShadowSettings.model_fields)})
+            raise PydanticCustomError("pin", "at least one setting of {keys}", {"keys": ", ".join(ShadowSettings.model_fields)})
         return self
 
 
 class LevelShadows(Shadows):
-    """What a level asks of the shadows: for all of its views and suns, and in ``pins`` for some, of which the first that holds
-    counts.
+    """Shadow settings of a level, for all of its views and suns.
+
+    ``pins`` override them for some views and sun altitudes. The first pin that applies counts.
     """
 
     pins: tuple[Pin, ...] = ()
 
     def pin_for(self, view: str, sun_altitude_deg: float | None) -> int | None:
-        """The number of the first pin that holds for a view under a sun; ``None`` where none does."""
+        """Return the number of the first pin that applies to a view and a sun altitude; ``None`` if none does."""
         return next((number for number, pin in enumerate(self.pins) if pin.holds(view, sun_altitude_deg)), None)
 
     @property
     def all_settings(self) -> dict[str, ShadowSettings]:
-        """All that may come to be asked for, by its key in the file."""
+        """All settings that may apply, by their key in the file."""
         return {**super().all_settings, **{f"shadows.pins.{number}": pin for number, pin in enumerate(self.pins)}}
 
 
 class Level(Model):
-    """A whole level file."""
+    """The contents of a level file."""
 
     version: Literal[1]
     title: str = ""
@@ -175,7 +176,7 @@ class Level(Model):
     water: Water | None = None
     forest: tuple[ForestSpec, ...] = ()
     meshes: tuple[MeshSpec, ...] = ()
-    sun: SunSpec | Literal["none"] | None = None  # a low one of the level's own place: ``skugga.terrain.own_sun``
+    sun: SunSpec | Literal["none"] | None = None  # default: a low sun at the level's place, ``skugga.terrain.own_sun``
     lights: dict[LightName, LightSpec] = {}
     weather: Weather = Weather()
     style: StyleSpec = StyleSpec()
@@ -183,7 +184,7 @@ class Level(Model):
     views: dict[str, ViewSpec] = {"map": MapSpec(kind="map")}
     shadows: LevelShadows = LevelShadows()
     effects: Literal["auto"] | dict[EffectName, Literal["auto", "on", "off"]] = "auto"
-    archive: Annotated[str, Field(min_length=1)] | tuple[str, ...] = ()  # of tiles that were drawn ahead, for what serves the level
+    archive: Annotated[str, Field(min_length=1)] | tuple[str, ...] = ()  # archives of pre-rendered tiles, for servers
 
     @field_validator("lights")
     @classmethod
@@ -191,7 +192,7 @@ class Level(Model):
         reserved = (SUN, *get_args(CasterKind), *ALGORITHM_NAMES, "auto")
         for name in value:
             if name in reserved:
-                raise PydanticCustomError("light", "names other than {taken}", {"taken": ", ".join(reserved)})
+                raise PydanticCustomError("light", "light names other than {taken}", {"taken": ", ".join(reserved)})
         return value
 
     @field_validator("style", mode="before")
@@ -203,7 +204,7 @@ class Level(Model):
     @classmethod
     def _files(cls, value: str | tuple[str, ...]) -> str | tuple[str, ...]:
         if any(is_remote(name) or not name for name in ((value,) if isinstance(value, str) else value)):
-            raise PydanticCustomError("archive", "a file of this machine, or a list of such")
+            raise PydanticCustomError("archive", "a local file, or a list of local files")
         return value
 
     @model_validator(mode="after")
@@ -213,7 +214,7 @@ class Level(Model):
 
     @model_validator(mode="after")
     def _pins_hold(self) -> Level:
-        """Each pin is for a view and lights that there are, and for something that earlier pins leave."""
+        """Check that each pin names an existing view and existing lights, and that earlier pins do not cover it completely."""
         pins, views, wrong = self.shadows.pins, {"map": None, **self.views}, []
         for number, pin in enumerate(pins):
             if pin.view is not None and pin.view not in views:
@@ -227,7 +228,7 @@ class Level(Model):
         if not wrong:
             for number, earlier in never_taken(pins, views, self.sun == "none"):
                 before = " and ".join(f"shadows.pins.{each} ({pins[each].where})" for each in earlier)
-                problem = PydanticCustomError("pin", "views and suns that are left by {before}", {"before": before})
+                problem = PydanticCustomError("pin", "views and sun altitudes not covered by {before}", {"before": before})
                 wrong.append(InitErrorDetails(type=problem, loc=("shadows", "pins", number), input=pins[number].where))
         if wrong:
             raise ValidationError.from_exception_data("Level", wrong)
@@ -237,24 +238,26 @@ class Level(Model):
     def _blocks_in_maps(self) -> Level:
         eyes = [name for name, view in self.views.items() if view.kind == "perspective"]
         if self.terrain.surface == "blocks" and eyes:
-            raise PydanticCustomError("blocks", "smooth: blocks is for maps, and {views} is a perspective view", {"views": eyes[0]})
+            raise PydanticCustomError(
+                "blocks", "smooth: blocks works in maps only, and {views} is a perspective view", {"views": eyes[0]}
+            )
         return self
 
     @property
     def movers(self) -> tuple[str, ...]:
-        """What moves by the level's clock, by its key in the file: meshes, lamps, and clouds that hide a part of the sky."""
+        """Keys of the parts that move with the level's clock: meshes, lamps, and clouds that cover a part of the sky."""
         meshes = [f"meshes.{number}" for number, mesh in enumerate(self.meshes) if mesh.moves]
         lamps = [f"lights.{name}" for name, light in self.lights.items() if light.moves]
         return (*meshes, *lamps, *(("weather.cloud_cover",) if self.weather.drifts else ()))
 
     @property
     def light_names(self) -> tuple[str, ...]:
-        """The sun (there or not), then the other lights."""
+        """Names of the sun, even if the level has none, and then of the other lights."""
         return (SUN, *self.lights)
 
 
 class LoadedLevel(BaseModel):
-    """A level with its name and the place it came from; ``digest`` changes with what its text says of pictures."""
+    """A level with its name and file. ``digest`` changes with all content of the file that pictures depend on."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -265,7 +268,7 @@ class LoadedLevel(BaseModel):
 
     @property
     def source(self) -> str:
-        """The raster's path, relative to nothing; a bundled data set's name stays as it is, a made ground has none ("")."""
+        """Absolute path of the terrain's raster, the name of a bundled data set, or "" for generated ground."""
         from skugga.terrain.level.bundled import BUNDLED
 
         source = self.level.terrain.source
@@ -273,12 +276,12 @@ class LoadedLevel(BaseModel):
 
     @property
     def without_sun(self) -> LoadedLevel:
-        """The same level without a sun, to place which a time needs a library that takes most of a second to import."""
+        """The same level without a sun. A sun with a time needs a library whose import takes most of a second."""
         return self.model_copy(update={"level": self.level.model_copy(update={"sun": "none"})})
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """All files that the level names, relative to nothing."""
+        """Absolute paths of all files that the level names."""
         from skugga.terrain.level.bundled import BUNDLED
 
         level = self.level
@@ -289,17 +292,17 @@ class LoadedLevel(BaseModel):
 
     @property
     def archives(self) -> tuple[Path, ...]:
-        """The archives of tiles that the level names, relative to nothing. No picture hangs on them: they are no ``sources``."""
+        """Absolute paths of the tile archives that the level names. They are not ``sources``, since no picture depends on them."""
         named = self.level.archive
         return tuple(Path(self.resolve(name)) for name in ((named,) if isinstance(named, str) else named))
 
     @property
     def linked_sources(self) -> tuple[str, ...]:
-        """``sources``, and all that these lead to: parts of virtual rasters, materials and textures of models, addresses."""
+        """``sources`` and all files that they refer to: parts of virtual rasters, materials and textures of models, addresses."""
         return tuple(dict.fromkeys(each for source in self.sources for each in (source, *linked_files(source))))
 
     def resolve(self, source: str) -> str:
-        """A path of the level file, relative to the file, as one relative to nothing; GDAL's own paths stay as they are."""
+        """Return the absolute path of a path relative to the level file. Addresses and GDAL's own paths stay as they are."""
         if "://" in source or source.startswith("/"):
             return source
         return str((self.path.parent / source).resolve())
@@ -310,8 +313,8 @@ def expand_override(
 ) -> AlgorithmOverride:
     """Spell out an override: a name, ``{kind: name}`` or ``{light: name}`` or ``{light: {kind: name}}``.
 
-    A name alone is for every one of the ``lights``; kinds without a light are the sun's. ``auto`` gives an empty choice.
-    Raises ``PydanticCustomError`` with what is allowed.
+    A name alone applies to every light of ``lights``. Caster kinds without a light are the sun's. ``auto`` gives no entry.
+    Raises ``PydanticCustomError`` with the allowed values.
     """
     kinds, words = get_args(CasterKind), (*names, "auto")
 
@@ -320,7 +323,7 @@ def expand_override(
             raise PydanticCustomError("algorithm", "one of {names}", {"names": ", ".join(words)})
         return item
 
-    choice: dict[str, dict[Any, Any]] = {}  # what gets in is one of the words
+    choice: dict[str, dict[Any, Any]] = {}  # all keys and values are checked to be known words
     if not isinstance(value, dict):
         value = {light: value for light in lights}
     for key, item in value.items():
@@ -330,12 +333,12 @@ def expand_override(
             per_kind = item if isinstance(item, dict) else {kind: item for kind in kinds}
             for kind, name in per_kind.items():
                 if kind not in kinds:
-                    raise PydanticCustomError("algorithm", "caster kinds: {kinds}", {"kinds": ", ".join(kinds)})
+                    raise PydanticCustomError("algorithm", "the caster kinds {kinds}", {"kinds": ", ".join(kinds)})
                 choice.setdefault(key, {})[kind] = name_of(name)
         else:
             raise PydanticCustomError(
                 "algorithm",
-                "keys that are a light ({lights}) or a caster kind ({kinds})",
+                "keys that name a light ({lights}) or a caster kind ({kinds})",
                 {"lights": ", ".join(lights), "kinds": ", ".join(kinds)},
             )
     named = {light: {k: n for k, n in kinds_.items() if n != "auto"} for light, kinds_ in choice.items()}
@@ -343,15 +346,16 @@ def expand_override(
 
 
 def lights_named(value: Any) -> tuple[str, ...]:
-    """The keys of an override that can only be lights."""
+    """Return the sun and the keys of an override that are not caster kinds, so must be lights."""
     keys = value if isinstance(value, dict) else ()
     return (SUN, *(key for key in keys if isinstance(key, str) and key not in (SUN, *get_args(CasterKind))))
 
 
 def parse_algorithm(text: str, parameter: str = "algorithm", names: Sequence[str] = ALGORITHM_NAMES) -> str | dict[str, Any]:
-    """Read ``shadow_map`` or ``relief=sweep,forest=shadow_map,lamp=shadow_map``, of these ``names``; raises ``InputError``.
+    """Parse an override such as ``shadow_map`` or ``relief=sweep,forest=shadow_map,lamp=shadow_map``.
 
-    Whether a level has the lights named is for ``expand_override`` to say.
+    ``names`` are the allowed algorithms. Raises ``InputError``. Does not check whether a level has the lights; ``expand_override``
+    does.
     """
     text = text.strip()
     value: str | dict[str, Any] = text
@@ -368,7 +372,7 @@ def parse_algorithm(text: str, parameter: str = "algorithm", names: Sequence[str
 
 
 def spelt(algorithm: str | dict[str, Any]) -> str:
-    """An override as ``parse_algorithm`` reads it."""
+    """Return an override as text that ``parse_algorithm`` reads."""
     if isinstance(algorithm, str):
         return algorithm
     flat: dict[str, Any] = {}
@@ -378,14 +382,16 @@ def spelt(algorithm: str | dict[str, Any]) -> str:
 
 
 def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
-    """What is asked of the shadows with a request's changes (``None`` changes nothing). Raises ``InputError``."""
+    """Return shadow settings with the changes of a request; ``None`` changes nothing. Raises ``InputError``."""
     changes = {key: value for key, value in changes.items() if value is not None}
     try:
         return Shadows.model_validate({**shadows.model_dump(include=set(Shadows.model_fields)), **changes})
     except ValidationError as error:
         details = error.errors()
         if details[0]["type"] == UNKNOWN_KEY:
-            raise InputError(details[0]["ctx"]["key"], Problem("unknown"), details[0]["ctx"]["known"]) from None
+            raise InputError(
+                details[0]["ctx"]["key"], Problem("unknown setting"), f"Use one of {details[0]['ctx']['known']}"
+            ) from None
         name = str(details[0]["loc"][0]) if details[0]["loc"] else "shadows"
         messages = (detail["msg"].removeprefix("Input should be ") for detail in details if detail["loc"][:1] == (name,))
         allowed = " or ".join(dict.fromkeys(messages))
@@ -393,9 +399,9 @@ def override(shadows: Shadows, changes: dict[str, Any]) -> Shadows:
 
 
 def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -> SunSpec | None:
-    """A sun from query or command-line parameters; ``None`` where none is given. Raises ``InputError``.
+    """Return the sun of query or command-line parameters; ``None`` if all are ``None``. Raises ``InputError``.
 
-    A ``+`` of an offset that arrived as a space is understood.
+    Accepts a space instead of the ``+`` of a time's offset, because URLs decode ``+`` to a space.
     """
     if time is None and azimuth is None and altitude is None:
         return None
@@ -425,17 +431,18 @@ def parse_sun(time: str | None, azimuth: float | None, altitude: float | None) -
 
 
 TEXT_SUFFIXES = (*LEVEL_SUFFIXES, ".json", ".txt", "")
-"""Of files whose text is looked at closely: of another, what is wrong with it as YAML means nothing."""
+"""Suffixes of files whose YAML errors are reported in detail. In other files such errors mean nothing."""
 
 _NEITHER = "neither a level file nor a raster that GDAL reads"
-_EITHER = "a raster of heights, or a YAML file that starts with 'version: 1'"
+_EITHER = "Use a raster of heights, or a YAML file that starts with 'version: 1'"
+_READABLE = "Use a readable YAML file, or a raster that GDAL reads"
 
 
 def load_level(source: Path | str | LevelSource) -> LoadedLevel:
-    """Read and check a level file, or make the level that a raster is by itself, with what its options say stands on it.
+    """Read and validate a level file, or make a level from a raster and the options of ``LevelSource``.
 
-    Raises ``LevelError``, also for what lies in none of the source's ``roots``, and ``InputError`` for options that are not for a
-    level file.
+    Raises ``LevelError``, also for a file outside the source's ``roots``. Raises ``InputError`` for options that a level file does
+    not accept.
     """
     source = LevelSource.of(source)
     loaded = _loaded(source)
@@ -453,37 +460,35 @@ def _loaded(source: LevelSource) -> LoadedLevel:
     if is_level_raster(path):
         for file in ("canopy", "buildings"):
             if (value := getattr(source, file)) is not None and not value.is_file():
-                raise InputError(file, str(value), "a file that is there")
+                raise InputError(file, str(value), "an existing file")
         level = Level.model_validate(source.level_keys)
         return LoadedLevel(name=printable(path.stem), path=path.resolve(), level=level, digest=source.digest)
     for name in source.options:
         raise InputError(
             name,
-            str(getattr(source, name)),
-            f"a raster's own level; the level file {path} says it itself, as {KEYS_OF_OPTIONS[name]}",
+            Problem(f"applies to rasters only, and {path} is a level file"),
+            f"Write {KEYS_OF_OPTIONS[name]} in the level file",
         )
     if (kind := special_kind(path)) is not None:
-        raise LevelError(str(path), Problem(kind), "a readable YAML file, or a raster that GDAL reads")
+        raise LevelError(str(path), Problem(f"{kind}, not a regular file"), _READABLE)
     try:
         with path.open(encoding="utf-8") as level_file:
             text = level_file.read(MOST_CHARACTERS + 1)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
-        raise LevelError(str(path), reason, "a readable YAML file, or a raster that GDAL reads") from None
+        raise LevelError(str(path), Problem(reason), _READABLE) from None
     if len(text) > MOST_CHARACTERS:
-        raise LevelError(
-            str(path), Problem(f"more than {MOST_CHARACTERS} characters"), "a readable YAML file, or a raster that GDAL reads"
-        )
+        raise LevelError(str(path), Problem(f"more than {MOST_CHARACTERS} characters"), "Use a shorter file")
     try:
         data = parse_level_text(text)
-    except (ValueError, RecursionError, YAMLError) as error:  # also of a date that is none, brackets without end
+    except (ValueError, RecursionError, YAMLError) as error:  # also of an impossible date, or too deeply nested brackets
         if path.suffix.lower() not in TEXT_SUFFIXES:
             raise LevelError(str(path), Problem(_NEITHER), _EITHER) from None
         if not isinstance(error, YAMLError):
-            raise LevelError(str(path), str(error), "well-formed YAML 1.2") from None
+            raise LevelError(str(path), Problem(str(error)), "Use well-formed YAML 1.2") from None
         mark = getattr(error, "problem_mark", None)
         where = f"{path}: line {mark.line + 1}" if mark else str(path)
-        raise LevelError(where, getattr(error, "problem", None) or "broken YAML", "well-formed YAML 1.2") from None
+        raise LevelError(where, Problem(getattr(error, "problem", None) or "broken YAML"), "Use well-formed YAML 1.2") from None
     if not isinstance(data, dict):
         if path.suffix.lower() not in TEXT_SUFFIXES:
             raise LevelError(str(path), Problem(_NEITHER), _EITHER)
@@ -492,6 +497,6 @@ def _loaded(source: LevelSource) -> LoadedLevel:
         level = Level.model_validate(data)
     except ValidationError as error:
         raise level_error(str(path), data, error.errors()) from None
-    # Without the archives: tiles that were drawn ahead are those of the level before it named them.
+    # The digest omits the archives. The tiles of an archive were drawn before the level named it, and must keep their digest.
     digest = hashlib.sha256(repr({key: value for key, value in data.items() if key != "archive"}).encode()).hexdigest()[:16]
     return LoadedLevel(name=printable(path.stem), path=path.resolve(), level=level, digest=digest)

@@ -1,4 +1,4 @@
-"""What is wrong with a level file, in the file's own terms: each wrong key with its value and what is allowed."""
+"""Convert pydantic's errors to errors of a level file: each wrong key with its value and the allowed values."""
 
 from __future__ import annotations
 
@@ -8,25 +8,33 @@ from typing import Any
 
 from pydantic_core import ErrorDetails
 
-from skugga.terrain.errors import MISSING_VALUE, Problem, LevelError, combined_error
+from skugga.terrain.errors import LevelError, Problem, combined_error
 
 MOST_ERRORS = 1000
-"""Of pydantic's that are looked at, each beside each."""
+"""Maximum number of pydantic errors that are examined, because each is compared with every other."""
 
 UNKNOWN_KEY = "unknown_key"
-"""Type of the errors of keys that a part of the file does not have."""
+"""Type of pydantic error for an unknown key."""
 
 _OF_THE_WHOLE = {"algorithm": ("shadows", "algorithm"), "blocks": ("terrain", "surface")}
-"""Kinds of errors that only the whole level can make, for what is in other parts of it, and the keys that they are about."""
+"""Types of errors that ``Level`` raises about one of its parts, and the keys of that part."""
+
+_PHRASES = (
+    (r"(?:List|Tuple) should have (at (?:least|most) \d+ items?) after validation, not .*", r"a list of \1"),
+    (r"String should have (at (?:least|most) \d+ characters?)", r"a string of \1"),
+    (r"String should match pattern (.*)", r"a string that matches \1"),
+    (r"Input should be a valid (?:list|tuple)", "a list"),
+)
+"""Messages of pydantic, and the phrases of allowed values that replace them."""
 
 _Keys = tuple[str, ...]
 
 
 def level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
-    """One error that tells of every wrong key of a file.
+    """Return one error that lists every wrong key of a file.
 
-    Of pydantic's many (a union gives one for each of its branches) those count that lead deepest into the file: what is said of
-    a key goes before what is said of a part that it lies in.
+    Pydantic reports several errors for a key, such as one for each branch of a union. An error of a key takes precedence over
+    errors of the parts that contain the key.
     """
     if [error["loc"] for error in errors] == [()] and (whole := _OF_THE_WHOLE.get(errors[0]["type"])):
         part, key = whole
@@ -40,10 +48,10 @@ def level_error(path: str, data: Any, errors: list[ErrorDetails]) -> LevelError:
 
 
 def _of_meant_branches(data: Any, errors: list[ErrorDetails]) -> list[ErrorDetails]:
-    """The errors without those of a union's branches that fail nearer to the union than another one does.
+    """Return the errors of the branches that the author of the file probably meant.
 
-    The branch that follows a value deepest is the one that was meant: a list of points in which one coordinate is wrong is no
-    point whose coordinates are lists.
+    Of each union it keeps the branches whose errors lie deepest. A list of points with one wrong coordinate, for example, is not
+    reported as a point whose coordinates are lists.
     """
     depths: dict[_Keys, dict[str, int]] = {}
     for error in errors:
@@ -58,12 +66,12 @@ def _of_meant_branches(data: Any, errors: list[ErrorDetails]) -> list[ErrorDetai
 
 
 def _branches(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str]]:
-    """The branches of unions that an error lies in: each union by its keys, and the branch by pydantic's name for it."""
+    """Return the union branches around an error: the keys of each union, and pydantic's name of the branch."""
     return [(keys, step) for keys, step in _steps(data, error) if step is not None]
 
 
 def _of_key(path: str, keys: _Keys, errors: list[ErrorDetails]) -> LevelError:
-    """What is wrong with one key, by all that was said of it."""
+    """Return the error of one key from all pydantic errors of that key."""
     where, first, last = f"{path}: {'.'.join(keys)}", errors[0], errors[-1]
     if first["type"] == "union_tag_invalid":
         return LevelError(
@@ -72,24 +80,33 @@ def _of_key(path: str, keys: _Keys, errors: list[ErrorDetails]) -> LevelError:
     if first["type"] == UNKNOWN_KEY:
         known = first["ctx"]["known"]
         near = get_close_matches(keys[-1], known.split(", "), 1)
-        return LevelError(where, Problem(f"unknown key, did you mean '{near[0]}'?" if near else "unknown key"), known)
+        suggestion = f"Did you mean '{near[0]}'? " if near else ""
+        return LevelError(where, Problem("unknown key"), f"{suggestion}Allowed keys: {known}")
     if last["type"] == "missing" and isinstance(items := last["loc"][-1], int):  # a list that is too short
-        return LevelError(where, last["input"], f"{items + 1} items")
+        return LevelError(where, last["input"], f"a list of {items + 1} items")
     if first["type"] == "missing":
-        return LevelError(where, MISSING_VALUE, "a value: it is required")
-    allowed = " or ".join(dict.fromkeys(error["msg"][:1].lower() + error["msg"][1:] for error in errors))
+        return LevelError.missing(where, "This key is required")
+    allowed = " or ".join(dict.fromkeys(_phrase(error["msg"]) for error in errors))
     allowed = re.sub("a valid dictionary( or instance of [A-Za-z]+)?", "a mapping of keys", allowed)
     return LevelError(where, first["input"], allowed.replace("input should be ", ""))
 
 
+def _phrase(message: str) -> str:
+    """Return a message of pydantic as a phrase of allowed values, such as ``a list of at least 2 items``."""
+    for pattern, phrase in _PHRASES:
+        if match := re.fullmatch(pattern, message):
+            return match.expand(phrase)
+    return message[:1].lower() + message[1:]
+
+
 def _keys(data: Any, error: ErrorDetails) -> _Keys:
-    """The keys of a file on the way to an error: pydantic's location without the names of its own union branches."""
+    """Return the keys of a file that lead to an error: pydantic's location without its names of union branches."""
     *_, (keys, _) = [((), None), *_steps(data, error)]
     return (*keys, error["ctx"]["key"]) if error["type"] == UNKNOWN_KEY else keys
 
 
 def _steps(data: Any, error: ErrorDetails) -> list[tuple[_Keys, str | None]]:
-    """Pydantic's location of an error step by step: the keys so far, and the name of the branch where a union is entered."""
+    """Return the steps of an error's location: the keys up to the step, and the branch's name if the step enters a union."""
     steps: list[tuple[_Keys, str | None]] = []
     keys: _Keys = ()
     location = error["loc"]

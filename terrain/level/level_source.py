@@ -1,4 +1,4 @@
-"""What a level is loaded from: a level file by itself; or a raster of heights, with what options say stands on it."""
+"""Source of a level: a level file, or a raster of heights with options such as canopy and buildings."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ KEYS_OF_OPTIONS = {
     "units": "terrain: {units: UNIT}",
     "positive": "terrain: {positive: down}",
 }
-"""What may be said of a raster beside its path, and how a level file says the same."""
+"""Options of a raster, and the keys with the same meaning in a level file."""
 
 
 def remedy(option: str, value: str) -> str:
-    """What to write, where a raster does not say something or says it wrongly, as a phrase."""
-    return f"write terrain: {{{option}: {value}}} (of a raster without a level file: --{option} {value})"
+    """Return a phrase that says how to set an option that a raster lacks or states wrongly."""
+    return f"write terrain: {{{option}: {value}}} (without a level file: --{option} {value})"
 
 
 def units_named(parameter: str, name: str | None) -> Units | None:
-    """A unit of heights by its name. Raises ``InputError``, which names the parameter."""
+    """Return the unit of heights with a name. Raises ``InputError``, which names the parameter."""
     found = next((unit for unit in METRES_PER_UNIT if unit == name), None)
     if name is not None and found is None:
         raise InputError(parameter, name, ", ".join(METRES_PER_UNIT))
@@ -35,21 +35,35 @@ def units_named(parameter: str, name: str | None) -> Units | None:
 
 
 def direction_named(parameter: str, name: str | None) -> Positive | None:
-    """The direction that a raster's numbers grow in, by its name. Raises ``InputError``, which names the parameter."""
+    """Return the direction in which a raster's values increase. Raises ``InputError``, which names the parameter."""
     if name in (None, "up", "down"):
         return name  # type: ignore[return-value]
-    raise InputError(parameter, name, "up, of heights, or down, of depths")
+    raise InputError(parameter, name, "up (heights) or down (depths)")
 
 
 class LevelSource(BaseModel):
-    """A level file's path, or that of a raster that is a level by itself: its ground, and all else by default.
+    """Path of a level file, or of a raster that becomes a level with default settings.
 
-    With a raster go, if wanted, ``canopy`` (a raster of canopy heights, or trees as points), ``buildings`` (footprints with
-    heights), ``nodata``, the cells' value that means that no height is known there, ``units`` of heights, and ``positive``, where
-    they grow to. Of a level file they are ``None``.
+    The options apply to rasters only and are ``None`` for a level file.
 
-    ``name`` is the level's; ``None``: its file's, without the suffix. ``roots`` are folders in one of which, or below, all has to
-    lie that the level is read from; ``None``: anywhere.
+    Attributes
+    ----------
+    path
+        The level file or the raster.
+    canopy
+        Raster of canopy heights, or a vector file of trees as points.
+    buildings
+        Vector file of footprints with heights.
+    nodata
+        Cell value that means no height, in addition to the value that the raster declares.
+    units
+        Unit of the raster's heights.
+    positive
+        Whether the raster's values increase upwards (heights) or downwards (depths).
+    name
+        Name of the level; ``None``: the name of its file without the suffix.
+    roots
+        Folders that must contain all files of the level; ``None``: no restriction.
     """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
@@ -65,17 +79,17 @@ class LevelSource(BaseModel):
 
     @classmethod
     def of(cls, source: Path | str | LevelSource) -> LevelSource:
-        """A path as the source of a level."""
+        """Return a path as the source of a level."""
         return source if isinstance(source, LevelSource) else cls(path=Path(source))
 
     @property
     def options(self) -> tuple[str, ...]:
-        """The names of the options that were given."""
+        """Names of the options that are set."""
         return tuple(name for name in KEYS_OF_OPTIONS if getattr(self, name) is not None)
 
     @property
     def level_keys(self) -> dict[str, Any]:
-        """The level file's keys that say the same of the raster as this does."""
+        """The keys and values of an equivalent level file."""
         names = "nodata", "units", "positive"
         stated = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return {
@@ -88,5 +102,5 @@ class LevelSource(BaseModel):
 
     @property
     def digest(self) -> str:
-        """Changes with the options; what is in the files is told by their own dates."""
+        """Digest of the options. It does not cover the contents of the files, whose changes their modification times show."""
         return hashlib.sha256(repr(self.level_keys).encode()).hexdigest()[:16]

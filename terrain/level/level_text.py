@@ -1,4 +1,4 @@
-"""The text of a level file as plain values: YAML 1.2 of bounded size and depth, without what would harm whoever shows it."""
+"""Parse the YAML 1.2 text of a level file, with limits on size and depth, and without control characters."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
 MOST_VALUES = 100_000
-"""Values and keys of a file, with every alias spelt out: some 30,000 places of a model. Nine aliases of nine aliases, nine times
-over, are gigabytes."""
+"""Maximum number of values and keys of a file after alias expansion: enough for some 30,000 positions of a model.
+
+Without a limit, nine levels of nine aliases each expand to gigabytes.
+"""
 
 MOST_CHARACTERS = 2**24
-"""Of a file's text."""
+"""Maximum length of a file's text."""
 
 DEEPEST = 32
-"""Lists and mappings inside of one another; levels have six."""
+"""Maximum depth of nested lists and mappings; levels need six."""
 
 _HARMFUL = re.compile("[\x01-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff]")
-"""Control characters (a terminal takes them for commands), and surrogates, which no text can be encoded with."""
+"""Control characters, which terminals execute as commands, and surrogates, which cannot be encoded."""
 
 
 def parse_level_text(text: str) -> Any:
-    """The values of a level file. Aliases and merges are understood.
+    """Return the values of a level file. Expands aliases and merge keys.
 
-    Raises ``YAMLError`` for what is no YAML, has more than ``MOST_VALUES`` values, is deeper than ``DEEPEST`` or has control
-    characters; ``ValueError`` for a value that its type does not have.
+    Raises ``YAMLError`` for malformed YAML, more than ``MOST_VALUES`` values, a depth over ``DEEPEST``, and control characters.
+    Raises ``ValueError`` for a value that its type does not allow, such as an impossible date.
     """
     yaml = YAML(typ="safe", pure=True)
     yaml.Composer, yaml.Constructor = _BoundedComposer, _BoundedConstructor
@@ -37,7 +39,7 @@ def parse_level_text(text: str) -> Any:
 
 
 class _BoundedComposer(Composer):
-    """Ends as soon as the text is too deep or too long: the scanner's time grows with the square of the depth."""
+    """A composer that stops once the text is too deep or too long, because scanning takes time quadratic in the depth."""
 
     _depth = _count = 0
 
@@ -45,7 +47,7 @@ class _BoundedComposer(Composer):
         self._depth, self._count = self._depth + 1, self._count + 1
         mark = self.parser.peek_event().start_mark
         if self._depth > DEEPEST:
-            raise MarkedYAMLError(problem=f"more than {DEEPEST} lists and mappings inside of one another", problem_mark=mark)
+            raise MarkedYAMLError(problem=f"more than {DEEPEST} nested lists and mappings", problem_mark=mark)
         if self._count > MOST_VALUES:
             raise MarkedYAMLError(problem=f"more than {MOST_VALUES} values", problem_mark=mark)
         node = super().compose_node(parent, index)
@@ -56,7 +58,7 @@ class _BoundedComposer(Composer):
 
 
 class _BoundedConstructor(SafeConstructor):
-    """Looks at how much the aliases stand for before anything is made of them."""
+    """A constructor that checks the size after alias expansion before it builds any value."""
 
     def construct_document(self, node: Any) -> Any:
         _check_expanded(node, {})
@@ -64,22 +66,23 @@ class _BoundedConstructor(SafeConstructor):
 
 
 def _check_expanded(node: Node, known: dict[int, tuple[int, int] | None]) -> tuple[int, int]:
-    """How many nodes a node stands for, and how deep they are, aliases spelt out; ``known`` of other nodes, ``None`` of those that
-    it lies in. Raises ``MarkedYAMLError``.
+    """Return the number of nodes and the depth of a node after alias expansion.
+
+    ``known`` caches the results by node; ``None`` marks the ancestors of the node. Raises ``MarkedYAMLError``.
     """
     if isinstance(node, ScalarNode):
         return 1, 0
     if id(node) in known:
         if (found := known[id(node)]) is None:
-            raise MarkedYAMLError(problem="an alias of what it lies in", problem_mark=node.start_mark)
+            raise MarkedYAMLError(problem="an alias of a list or mapping that contains it", problem_mark=node.start_mark)
         return found
     known[id(node)] = None
     parts = [each for pair in node.value for each in pair] if isinstance(node, MappingNode) else node.value
     counts, depths = zip(*(_check_expanded(part, known) for part in parts), strict=True) if parts else ((), ())
     count, depth = 1 + sum(counts), 1 + max(depths, default=0)
     if depth > DEEPEST:
-        raise MarkedYAMLError(problem=f"more than {DEEPEST} lists and mappings inside of one another", problem_mark=node.start_mark)
+        raise MarkedYAMLError(problem=f"more than {DEEPEST} nested lists and mappings", problem_mark=node.start_mark)
     if count > MOST_VALUES:
-        raise MarkedYAMLError(problem=f"more than {MOST_VALUES} values, its aliases spelt out", problem_mark=node.start_mark)
+        raise MarkedYAMLError(problem=f"more than {MOST_VALUES} values after alias expansion", problem_mark=node.start_mark)
     known[id(node)] = count, depth
     return count, depth

@@ -1,7 +1,11 @@
-"""Which further files and addresses a data file leads to: a virtual raster to its parts, a model to its materials and pictures,
-the description of a web service to that, GeoJSON to a CRS that it links to.
+"""Files and addresses that a data file refers to.
 
-Only what a file's own text says is looked at; the files themselves need not be there.
+- A virtual raster (VRT) refers to its parts.
+- A model refers to its materials and textures.
+- The description of a web service refers to the service.
+- GeoJSON may refer to a linked CRS.
+
+Only the text of the files is read. The files that it names need not exist.
 """
 
 from __future__ import annotations
@@ -18,22 +22,22 @@ VRT_ROOTS = ("VRTDataset", "OGRVRTDataSource")
 """Root elements of virtual rasters and virtual vector files."""
 
 MODEL_FILE_SUFFIXES = (".obj", ".mtl", ".ply", ".gltf", ".glb")
-"""Of models, and of what they are made of."""
+"""Suffixes of model files and of their materials."""
 
 MOST_XML_BYTES = 64 * 2**20
-"""Of a virtual raster's text: some 100,000 parts."""
+"""Maximum size of a virtual raster's text: some 100,000 parts."""
 
 MOST_LINKED_FILES = 200_000
-"""Files that one leads to, directly or by others."""
+"""Maximum number of files that a file refers to, directly or indirectly."""
 
 DATA_ROOTS = ("kml", "FeatureCollection", "gpx", "osm", "osmChange", "svg", "feed", "rss", "JCSDataFile")
-"""Root elements of vector files in XML that hold their features themselves; any other may be a description of a service."""
+"""Root elements of XML vector formats, which contain their features. Other XML may describe a network service."""
 
 ADDED_ENDINGS = (".aux.xml", ".ovr", ".msk", ".vat.dbf")
-"""Endings that GDAL adds to a raster's name: statistics and georeference, overviews, masks."""
+"""Suffixes of sidecar files that GDAL appends to a raster's name: statistics and georeferencing, overviews, masks."""
 
 OTHER_ENDINGS = (".aux", ".tfw", ".wld", ".jgw", ".pgw", ".prj", ".hdr", ".dbf", ".shx", ".cpg", ".qpj", ".bin")
-"""Endings that take the place of a file's own: world files, coordinate systems, parts of shapefiles and of glTF."""
+"""Suffixes of sidecar files that replace a file's suffix: world files, coordinate systems, parts of shapefiles and of glTF."""
 
 _GEOJSON_SUFFIXES = (".geojson", ".json", ".geojsonl", ".geojsons", ".topojson", ".jsonfg")
 _FILE_ELEMENTS = (
@@ -47,7 +51,7 @@ _FILE_ELEMENTS = (
 )
 _FILE_ITEMS = ("X_DATASET", "Y_DATASET", "RPC_DEM", "RPC_DEM_FILE", "OVERVIEW_FILE", "DEM")
 _MODELS_TEXT = re.compile(rb"^[ \t]*(?:mtllib|comment[ \t]+TextureFile)[ \t]+([^\r\n]+)", re.MULTILINE)
-_PIPELINE = b"gdal_streamed_alg"  # a file that GDAL takes for a command
+_PIPELINE = b"gdal_streamed_alg"  # key of a file that GDAL runs as a command
 _LINKED_CRS = re.compile(rb"""(?i)"link"|\\u00[0-7]""")
 _ADDRESS = re.compile(r"""[A-Za-z][\w+.-]*://[^\s<>"']+|/vsi\w+/[^\s<>"']+""")
 _SOURCE_IN_SQL = re.compile(r"""['"]([^'"]+)['"]\s*\.""")  # FROM 'FILE'.table
@@ -55,21 +59,21 @@ _MATERIAL_TEXT = re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]
 
 
 def is_remote(source: str) -> bool:
-    """Whether a source is none of the file system's: an address, or a path of GDAL's virtual file systems."""
+    """Return whether a source is not a path of the file system but an address, or a path of GDAL's virtual file systems."""
     return "://" in source or source.startswith("/vsi")
 
 
 def files_beside(path: Path) -> list[Path]:
-    """What would be read with a file, if it lay beside it."""
+    """Return the paths of all possible sidecar files of a file, whether they exist or not."""
     stem = path.with_suffix("")
     added = [path.with_name(path.name + ending) for ending in ADDED_ENDINGS]
     return added + [stem.with_name(stem.name + ending) for ending in OTHER_ENDINGS]
 
 
 def linked_files(source: str) -> tuple[str, ...]:
-    """All files that a file leads to, directly or by others, as paths or addresses, in the order in which they are met.
+    """Return all files that a file refers to, directly or indirectly, as paths or addresses, in breadth-first order.
 
-    Of a file that cannot be read, none: whoever opens it says why.
+    An unreadable file gives none; the code that opens it raises the error.
     """
     found: dict[str, None] = {}
     waiting = [source]
@@ -83,7 +87,7 @@ def linked_files(source: str) -> tuple[str, ...]:
 
 
 def xml_head(head: bytes) -> str | None:
-    """The name of the root element of a text that begins so; ``None`` where it is no XML."""
+    """Return the name of the root element of an XML text from its first bytes; ``None`` if it is not XML."""
     text = head.decode("utf-8", "replace").lstrip("\ufeff").lstrip()
     if not text.startswith("<"):
         return None
@@ -93,7 +97,7 @@ def xml_head(head: bytes) -> str | None:
 
 
 def vrt_elements(path: Path) -> ElementTree.Element | None:
-    """The text of a virtual raster or vector file; ``None`` for any other file, and for one that cannot be read."""
+    """Return the root element of a virtual raster or vector file; ``None`` for any other file and for an unreadable one."""
     try:
         with path.open("rb") as file:
             if xml_head(file.read(4096)) not in VRT_ROOTS or path.stat().st_size > MOST_XML_BYTES:
@@ -116,11 +120,11 @@ def _direct(source: str) -> Iterator[str]:
             continue
         yield name if is_remote(name) or name.startswith(("/", "<")) or not from_folder else str((path.parent / name).resolve())
         if path.suffix.lower() in MODEL_FILE_SUFFIXES and (beside := path.parent / Path(name).name).is_file():
-            yield str(beside.resolve())  # where models' readers look, too
+            yield str(beside.resolve())  # readers of models look in their own folder, too
 
 
 def _names_in(path: Path) -> Iterator[tuple[str, bool]]:
-    """The names of files that a file states, each with whether it is one relative to its folder."""
+    """Yield the file names in a file, each with whether it is relative to the file's folder."""
     suffix = path.suffix.lower()
     if suffix in (".obj", ".ply"):
         yield from ((name, True) for name in _matches(_MODELS_TEXT, path))
@@ -142,7 +146,7 @@ def _names_in(path: Path) -> Iterator[tuple[str, bool]]:
 
 
 def _service_addresses(path: Path) -> Iterator[str]:
-    """Addresses in a description of a web service: in XML that is none of the vector formats."""
+    """Yield the addresses in the description of a web service: in XML that is none of the vector formats."""
     with path.open("rb") as file:
         root = xml_head(head := file.read(4096))
         if root is None or root in DATA_ROOTS:
@@ -152,7 +156,7 @@ def _service_addresses(path: Path) -> Iterator[str]:
 
 
 def _linked_crs(path: Path) -> Iterator[str]:
-    """Addresses of linked CRS in GeoJSON (GeoJSON 2008, section 3.2), whichever object states them."""
+    """Yield the addresses of linked CRSs in GeoJSON (GeoJSON 2008, section 3.2), in any object."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
         if text.find(_PIPELINE) >= 0:
             yield from _ADDRESS.findall(text[:].decode("utf-8", "replace"))
@@ -176,7 +180,7 @@ def _matches(pattern: re.Pattern[bytes], path: Path) -> Iterator[str]:
         for match in pattern.finditer(text):
             stated = match[1].decode("utf-8", "replace").strip()
             yield stated
-            if pattern is _MATERIAL_TEXT and " " in stated:  # options may come before the name
+            if pattern is _MATERIAL_TEXT and " " in stated:  # options may precede the name
                 yield stated.split()[-1]
 
 
@@ -188,7 +192,7 @@ def _gltf_addresses(path: Path) -> Iterator[str]:
 
 
 def gltf_parts(path: Path, part: str) -> list[dict[str, Any]]:
-    """What a glTF file states of its ``buffers``, ``accessors`` or ``images``. Raises ``OSError`` and ``ValueError``."""
+    """Return the ``buffers``, ``accessors`` or ``images`` of a glTF file as JSON objects. Raises ``OSError`` and ``ValueError``."""
     with path.open("rb") as file:
         head = file.read(20)
         if head[:4] == b"glTF":

@@ -1,4 +1,4 @@
-"""What all parts of a level file are: immutable values whose wrong keys are named; and how places are written."""
+"""Base class of all parts of a level file, and types of positions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Model(BaseModel):
     @model_validator(mode="wrap")
     @classmethod
     def _name_unknown_keys(cls, data: Any, validate: ModelWrapValidatorHandler[Self]) -> Self:
-        """Unknown keys are told together with what is wrong with the known ones, each with the keys that there are."""
+        """Report unknown keys, with the allowed keys, together with the errors of the known keys."""
         unknown = [key for key in data if key not in cls.model_fields] if isinstance(data, dict) else []
         if not unknown:
             return validate(data)

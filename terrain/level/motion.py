@@ -1,4 +1,4 @@
-"""The parts of a level file that say how things move by the level's clock: models spin or follow a path, lamps follow one."""
+"""Motion in a level file: models that spin or follow a path, and lamps that follow a path, by the level's clock."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from skugga.terrain.level.model import Coordinate, MapPosition, Model
 
 LEAST_KEY_STEP_S = 0.001
-"""Time between two keys of a path, at least."""
+"""Minimum time between two keys of a path, seconds."""
 
 MOST_PATH_KEYS = 10_000
-"""Of one path."""
+"""Maximum number of keys of a path."""
 
 ClockSeconds = Annotated[float, Field(ge=-1e9, le=1e9)]
-"""Of the level's clock."""
+"""A time of the level's clock, seconds."""
 
 Above = Literal["ground", "sea"]
-"""What the heights of a path are counted from: the ground below, which it follows, or 0 in the heights as drawn."""
+"""Reference of a path's heights: the ground below, which the path follows, or height 0 of the drawn heights."""
 
 PathHeight = Annotated[float, Field(ge=-12000, le=1e6)]
 PathPosition = tuple[Coordinate, Coordinate, PathHeight]
 
 KeyPath = tuple[str | int, ...]
-"""Keys and numbers on the way to a part of a part of a level file."""
+"""Keys and list indices that lead to a nested part of a level file."""
 
 
 def wrong_parts(title: str, wrong: Sequence[tuple[KeyPath, object, str]]) -> ValidationError:
-    """The error of parts at places, each with its value and what is allowed."""
+    """Return one error of several parts, each with its key path, its value and the allowed values."""
     return ValidationError.from_exception_data(
         title, [InitErrorDetails(type=PydanticCustomError("part", words), loc=at, input=was) for at, was, words in wrong]
     )
 
 
 class _Key(Model):
-    """A second of the level's clock, of which more is said."""
+    """A key of a path: a time of the level's clock. Subclasses add the position at that time."""
 
     seconds: ClockSeconds
 
 
 class PathKey(_Key):
-    """Where a model is at a second of the level's clock: as ``at``, and a height, metres (left out: on the ground)."""
+    """Position of a model at a time of the level's clock: as ``at``, and optionally a height in metres (default: on the ground)."""
 
     position: MapPosition | PathPosition
 
@@ -52,17 +52,17 @@ class PathKey(_Key):
     @classmethod
     def _two_or_three(cls, value: Any) -> Any:
         if isinstance(value, list | tuple) and len(value) not in (2, 3):
-            raise PydanticCustomError("position", "two numbers for the place, and a third for a height")
+            raise PydanticCustomError("position", "two numbers, or three with a height")
         return value
 
     @property
     def place(self) -> tuple[float, float, float]:
-        """Its position with a height."""
+        """The position with its height, metres; 0 if the key has none."""
         return (*self.position[:2], self.position[2] if len(self.position) == 3 else 0.0)
 
 
 class LampKey(_Key):
-    """Where a lamp is at a second of the level's clock, and what a spot is turned to: what of both moves."""
+    """Position of a lamp at a time of the level's clock, target of a spot, or both."""
 
     position: PathPosition | None = None
     target: PathPosition | None = None
@@ -70,13 +70,15 @@ class LampKey(_Key):
     @model_validator(mode="after")
     def _says_something(self) -> Self:
         if self.position is None and self.target is None:
-            raise PydanticCustomError("motion", "a position, a target or both beside its seconds")
+            raise PydanticCustomError("motion", "a position, a target or both, besides seconds")
         return self
 
 
 class _Path(Model):
-    """``path``: keys whose seconds rise. A ``loop`` ends where it begins, and begins again; else what moves rests before and after.
-    Heights are metres ``above`` the ground, which is followed, or above the sea.
+    """A path: keys with increasing ``seconds``.
+
+    A ``loop`` ends where it begins, and repeats. Otherwise the moving part rests before the first and after the last key. Heights
+    are metres ``above`` the ground, which the path follows, or above the sea.
     """
 
     loop: bool = False
@@ -84,19 +86,19 @@ class _Path(Model):
 
 
 def _wrong_keys(keys: Sequence[_Key], loop: bool) -> list[tuple[KeyPath, object, str]]:
-    """What is wrong with the keys of a path: places in it, values, and what is allowed."""
+    """Return the wrong keys of a path: their key paths, values and allowed values."""
     if len(keys) < 2:
-        return [(("path",), [key.model_dump(exclude_none=True) for key in keys], "two keys at least")]
+        return [(("path",), [key.model_dump(exclude_none=True) for key in keys], "at least two keys")]
     wrong: list[tuple[KeyPath, object, str]] = []
     for number, (before, after) in enumerate(pairwise(keys), start=1):
         if not after.seconds - before.seconds >= LEAST_KEY_STEP_S:
-            allowed = f"seconds that rise from key to key, by {LEAST_KEY_STEP_S} at least: the one before has {before.seconds:g}"
+            allowed = f"seconds that increase by at least {LEAST_KEY_STEP_S} from key to key: the previous has {before.seconds:g}"
             wrong.append((("path", number, "seconds"), after.seconds, allowed))
     if loop:
         for name in ("position", "target"):
             first, last = (_with_height(getattr(key, name, None)) for key in (keys[0], keys[-1]))
             if first != last:
-                allowed = f"the first key's, {list(first or ())}: a loop ends where it begins"
+                allowed = f"the {name} of the first key, {list(first or ())}: a loop ends where it begins"
                 wrong.append((("path", len(keys) - 1, name), getattr(keys[-1], name), allowed))
     return wrong
 
@@ -108,8 +110,8 @@ def _with_height(position: tuple[float, ...] | None) -> tuple[float, ...] | None
 class MeshMotion(_Path):
     """How a model moves by the level's clock.
 
-    ``spin`` is in degrees per second, counter-clockwise about the up axis. ``face: along`` turns what of the model faces south (a
-    glTF's front) along its path; ``fixed`` leaves it as it stands.
+    ``spin`` is in degrees per second, counter-clockwise about the up axis. ``face: along`` turns the model's south side, which is
+    the front of a glTF model, along its path; ``fixed`` does not turn it.
     """
 
     spin: float = Field(default=0.0, ge=-1e6, le=1e6)
@@ -121,25 +123,25 @@ class MeshMotion(_Path):
         wrong: list[tuple[KeyPath, object, str]] = []
         if self.path is None:
             given = ("loop", "above", "face")
-            wrong = [((key,), getattr(self, key), "no such key without a path") for key in given if key in self.model_fields_set]
+            wrong = [((key,), getattr(self, key), "no value without a path") for key in given if key in self.model_fields_set]
         else:
             wrong = _wrong_keys(self.path, self.loop)
             if self.above == "sea":
                 for number, key in enumerate(self.path):
                     if len(key.position) == 2:
-                        wrong.append((("path", number, "position"), key.position, "three numbers: the height above the sea, too"))
+                        wrong.append((("path", number, "position"), key.position, "three numbers, with the height above the sea"))
         if wrong:
             raise wrong_parts("motion", wrong)
         return self
 
     @property
     def moves(self) -> bool:
-        """Whether it moves anything."""
+        """Whether the model moves at all."""
         return self.spin != 0.0 or self.path is not None
 
 
 class LampMotion(_Path):
-    """How a lamp moves by the level's clock: its keys say where its position, a spot's target or both are, all of them the same."""
+    """How a lamp moves by the level's clock: all keys have a position, all have a spot's target, or all have both."""
 
     path: Annotated[tuple[LampKey, ...], Field(max_length=MOST_PATH_KEYS)]
 
@@ -148,7 +150,7 @@ class LampMotion(_Path):
         wrong = _wrong_keys(self.path, self.loop)
         for number, key in enumerate(self.path):
             if tuple(name for name in ("position", "target") if getattr(key, name) is not None) != self.moved:
-                allowed = f"what the first key has: seconds, {', '.join(self.moved)}"
+                allowed = f"the keys of the first one: seconds, {', '.join(self.moved)}"
                 wrong.append((("path", number), key.model_dump(exclude_none=True), allowed))
         if wrong:
             raise wrong_parts("motion", wrong)
@@ -156,5 +158,5 @@ class LampMotion(_Path):
 
     @property
     def moved(self) -> tuple[str, ...]:
-        """What the keys place: ``position``, ``target`` or both."""
+        """Names of the fields that the path moves: ``position``, ``target`` or both."""
         return tuple(name for name in ("position", "target") if getattr(self.path[0], name) is not None) if self.path else ()

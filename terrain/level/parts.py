@@ -1,4 +1,4 @@
-"""The parts of a level file that say what is there: ground, forest, meshes, sun, lights and views, as validated values."""
+"""Parts of a level file as validated values: ground, water, weather, style, forest, meshes, sun, lights and views."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ METRES_PER_UNIT: dict[Units, float] = {
 }  # fmt: skip
 
 Positive = Literal["up", "down"]
-"""Whether numbers grow upwards, as heights do, or downwards, as depths (the attribute ``positive`` of the CF conventions)."""
+"""Whether values increase upwards (heights) or downwards (depths): the attribute ``positive`` of the CF conventions."""
 
 Species = Literal["conifer", "broadleaf", "mixed"]
 MeshGenerator = Literal["boxgrid", "rocks", "street", "room", "water_tower", "tetrahedra", "wood_hill"]
@@ -32,15 +32,16 @@ Metres = Annotated[float, Field(gt=0, le=1e7)]
 PixelCount = Annotated[int, Field(ge=1, le=16384)]
 
 
-TIME_WORDS = "an ISO 8601 time with an offset, as 2024-10-21T16:30:00-04:00"
-"""What a time has to be."""
+TIME_WORDS = "an ISO 8601 time with an offset, such as 2024-10-21T16:30:00-04:00"
+"""The allowed times, for messages."""
 
 _TIME = re.compile(r"[-0-9:.,+TtWZz ]+")
 
 
 def time_of(text: str) -> datetime:
-    """A time from its text in ISO 8601, with an offset or without. Raises ``ValueError``, also for characters that no time has: the
-    library reads past some.
+    """Return the time of an ISO 8601 text, with an offset or without.
+
+    Raises ``ValueError``, also for characters that no time has, since ``fromisoformat`` ignores some.
     """
     if not _TIME.fullmatch(text):
         raise ValueError(TIME_WORDS)
@@ -49,7 +50,7 @@ def time_of(text: str) -> datetime:
 
 def _without_nul(name: str) -> str:
     if "\0" in name:
-        raise PydanticCustomError("file", "a file's name, without a NUL character")
+        raise PydanticCustomError("file", "a file name without NUL characters")
     return name
 
 
@@ -57,14 +58,14 @@ FileName = Annotated[str, Field(min_length=1), AfterValidator(_without_nul)]
 
 
 class FlatGround(Model):
-    """A flat floor at height 0, its middle at the origin: ``size`` in metres and ``cells`` in quads, each (east, north)."""
+    """Flat ground at height 0, centred on the origin: ``size`` in metres and ``cells`` in quads, each (east, north)."""
 
     size: tuple[Metres, Metres]
     cells: tuple[Annotated[int, Field(ge=1, le=8192)], Annotated[int, Field(ge=1, le=8192)]]
 
 
 class GeneratedGround(Model):
-    """Ground made up from a seed: ``size`` in metres (east, north), ``cell`` the metres between heights, ``relief`` metres."""
+    """Ground generated from a seed: ``size`` (east, north), spacing of heights ``cell`` and ``relief``, all in metres."""
 
     kind: GroundGenerator
     size: tuple[Metres, Metres]
@@ -75,19 +76,19 @@ class GeneratedGround(Model):
     @model_validator(mode="after")
     def _bounded(self) -> GeneratedGround:
         if not 4 <= min(self.size) / self.cell <= max(self.size) / self.cell <= 8192:
-            raise PydanticCustomError("cell", "a cell that gives 4 to 8192 cells a side")
+            raise PydanticCustomError("cell", "a cell size that gives 4 to 8192 cells per side")
         return self
 
 
 class Terrain(Model):
-    """The ground: a raster of heights, or a floor or ground that is made.
+    """The ground: a raster of heights, or flat or generated ground.
 
-    ``bounds`` (west, south, east, north, degrees) says which part is looked at: it places the anchor and the default
-    view; ground beyond it still casts. ``resolution`` is in metres, ``exaggeration`` multiplies heights. ``units`` and ``positive``
-    say what the raster's numbers are (``None``: what it says itself, else metres, up). ``nodata`` is a value of
-    the raster's cells that means no height, besides the one that the file declares. ``imagery`` is an RGB raster draped over the
-    ground. ``surface`` is what lies between the heights: ``smooth`` (bilinear between the cells' centres) or, in maps, ``blocks``
-    (every cell is a column with a flat top and upright walls, as in surface models of cities).
+    ``bounds`` (west, south, east, north, degrees) is the area of interest. It sets the anchor and the default view; ground beyond
+    it still casts. ``resolution`` is in metres, ``exaggeration`` multiplies heights. ``units`` and ``positive`` are the unit and
+    the direction of the raster's values (``None``: as the raster declares, else metres, up). ``nodata`` is a cell value that means
+    no height, in addition to the one that the file declares. ``imagery`` is an RGB raster draped over the ground. ``surface`` is
+    the interpolation between heights: ``smooth`` (bilinear between cell centres) or, in maps only, ``blocks``: every cell is a
+    column with a flat top and upright walls, as in surface models of cities.
     """
 
     source: FileName | None = None
@@ -108,22 +109,22 @@ class Terrain(Model):
         if value is not None:
             west, south, east, north = value
             if not (-180 <= west < east <= 540 and -90 <= south < north <= 90):
-                raise PydanticCustomError("bounds", "west < east and -90 <= south < north <= 90, in degrees")
+                raise PydanticCustomError("bounds", "-180 <= west < east <= 540 and -90 <= south < north <= 90, in degrees")
         return value
 
     @model_validator(mode="after")
     def _one_ground(self) -> Terrain:
         if (self.source is not None) + (self.flat is not None) + (self.generate is not None) != 1:
-            raise PydanticCustomError("ground", "one of source, flat and generate")
+            raise PydanticCustomError("ground", "exactly one of source, flat and generate")
         if self.nodata is not None and self.source is None:
-            raise PydanticCustomError("ground", "nodata of a source: made ground has no cells without a height")
+            raise PydanticCustomError("ground", "nodata with a source only: other ground has a height in every cell")
         if self.positive == "down" and self.source is None:
-            raise PydanticCustomError("ground", "positive: down of a source: made ground grows upwards")
+            raise PydanticCustomError("ground", "positive: down with a source only: other ground has heights, not depths")
         return self
 
 
 class Water(Model):
-    """Standing water: whatever ground lies below ``level``, metres in the heights as drawn, is under it."""
+    """Standing water over all ground below ``level``: metres, after unit conversion and exaggeration."""
 
     level: float = Field(ge=-11500, le=9500)
 
@@ -131,8 +132,8 @@ class Water(Model):
 class Weather(Model):
     """The weather.
 
-    ``visibility`` is the meteorological range in metres: how far a dark object can be told from the horizon (contrast 2 %);
-    ``None`` for air that is clear. ``cloud_cover`` is the share of the sky behind clouds, ``snow`` whether snow lies.
+    ``visibility`` is the meteorological range in metres: the distance at which a dark object has 2 % contrast to the horizon;
+    ``None`` for clear air. ``cloud_cover`` is the share of the sky behind clouds, ``snow`` whether snow lies.
     """
 
     visibility: float | None = Field(default=None, ge=10, le=1e7)
@@ -141,28 +142,28 @@ class Weather(Model):
 
     @property
     def drifts(self) -> bool:
-        """Whether clouds hide a part of the sky, and so drift by the level's clock."""
+        """Whether clouds cover a part of the sky, and so drift with the level's clock."""
         return 0.0 < self.cloud_cover < 1.0
 
     @property
     def overcast(self) -> bool:
-        """Whether clouds cover the whole sky, so that no direct sun arrives."""
+        """Whether clouds cover the whole sky, which blocks direct sunlight."""
         return self.cloud_cover >= 1.0
 
 
 StyleName = Literal["natural", "swiss", "grey", "urban", "analysis"]
-"""Named styles: ``skugga.terrain.style.STYLES``."""
+"""Names of the styles in ``skugga.terrain.style.STYLES``."""
 
 SlopeExaggeration = Annotated[float, Field(ge=0.1, le=20)]
 
-RAMP_WORDS = "pairs of a height in metres and a colour as '#b3c2a2', heights rising"
+RAMP_WORDS = "pairs of a height in metres and a colour such as '#b3c2a2', with increasing heights"
 
 
 class StyleSpec(Model):
-    """How relief is shaded: a named style (``auto``: by the ground), in a file also by its name alone.
+    """Style of relief shading. A level file may write the name of a style alone; ``auto`` chooses by the ground.
 
-    ``ramp`` goes before the style's own colours: heights in metres and sRGB colours. ``slope_exaggeration`` multiplies slopes in
-    shading; cast shadows stay those of the true ground.
+    ``ramp`` replaces the style's colours: heights in metres and sRGB colours. ``slope_exaggeration`` multiplies slopes in shading;
+    it does not change cast shadows.
     """
 
     name: Literal["auto"] | StyleName = "auto"
@@ -185,10 +186,10 @@ class StyleSpec(Model):
 class ForestSpec(Model):
     """A stand of trees: polygons with a density, points (one a tree), or a canopy-height raster.
 
-    ``density`` is in trees per hectare (polygons alone), ``height`` in metres: a range, or the name of an attribute;
-    ``crown`` the crown's diameter likewise (default: from the height). A canopy raster needs neither; of one, canopy below
-    ``least_height`` metres is left out (default: 2, where most of it is lower 0.5). Of a file of several layers ``layer`` names the
-    trees' one.
+    ``density`` is in trees per hectare (polygons only). ``height`` is in metres: a range, or the name of an attribute. ``crown`` is
+    the crown's diameter, likewise (default: from the height). A canopy raster needs neither; its cells below ``least_height``
+    metres have no trees (default: 2, or 0.5 if most of the canopy is lower). ``layer`` names the layer of the trees in a file of
+    several layers.
     """
 
     source: FileName
@@ -204,20 +205,22 @@ class ForestSpec(Model):
     @classmethod
     def _range(cls, value: tuple[float, float] | str | None) -> tuple[float, float] | str | None:
         if isinstance(value, tuple) and not 0.1 <= value[0] <= value[1] <= 150:
-            raise PydanticCustomError("range", "an attribute's name, or [least, most] in metres from 0.1 to 150")
+            raise PydanticCustomError("range", "an attribute name, or [minimum, maximum] in metres from 0.1 to 150")
         return value
 
 
-BESIDE_PATH = "nothing beside a path of its motion, which says where it is"
+BESIDE_PATH = "no value together with a path in motion, which sets it"
 
 
 class MeshSpec(Model):
-    """Buildings from footprints (``height``: an attribute's name, metres for all, or a surface and a ground raster), a model
-    from a file (OBJ, PLY, glTF), or a generated one. Of a file of several layers ``layer`` names the footprints' one.
+    """Buildings from footprints, a model from a file (OBJ, PLY, glTF), or a generated model.
 
-    ``roof`` is the form of the roofs over footprints that are nearly rectangles; others are flat. ``at`` is where a model
-    stands: one place or several (degrees; metres on a made ground), its lowest point on the ground; a path of its ``motion`` says
-    so instead. ``turn`` is in degrees counter-clockwise, ``color`` an sRGB albedo in [0, 1].
+    ``height`` of buildings is an attribute's name or metres for all; ``surface`` and ``ground`` rasters can replace it. ``layer``
+    names the layer of the footprints in a file of several layers. ``roof`` is the form of roofs over nearly rectangular footprints;
+    all other roofs are flat.
+
+    ``at`` is the position of a model, one or several (degrees; metres on flat or generated ground), with its lowest point on the
+    ground. A path in ``motion`` replaces it. ``turn`` is in degrees counter-clockwise, ``color`` an sRGB albedo in [0, 1].
     """
 
     source: FileName | None = None
@@ -246,26 +249,26 @@ class MeshSpec(Model):
         if (self.source is None) == (self.generate is None):
             raise PydanticCustomError("mesh", "either source or generate")
         if (self.surface is None) != (self.ground is None):
-            raise PydanticCustomError("mesh", "surface and ground together: heights are surface minus ground")
+            raise PydanticCustomError("mesh", "surface and ground together, because heights are surface minus ground")
         if self.at is not None and self.motion is not None and self.motion.path is not None:
             raise wrong_parts("mesh", [(("at",), self.at, BESIDE_PATH)])
         return self
 
     @property
     def moves(self) -> bool:
-        """Whether it moves by the level's clock."""
+        """Whether the mesh moves with the level's clock."""
         return self.motion is not None and self.motion.moves
 
     @property
     def places(self) -> list[MapPosition]:
-        """Where the mesh stands; empty where the file does not say."""
+        """The positions of the mesh; empty if the file gives none."""
         if self.at is None:
             return []
         return list(self.at) if isinstance(self.at, list) else [self.at]
 
 
 class SunSpec(Model):
-    """Where the sun is: an ISO 8601 ``time`` with an offset, or apparent ``azimuth`` and ``altitude`` at the anchor.
+    """Position of the sun: an ISO 8601 ``time`` with an offset, or apparent ``azimuth`` and ``altitude`` at the anchor.
 
     ``azimuth`` is in degrees clockwise from true north (from grid north in a flat world), ``altitude`` in degrees above
     the horizon.
@@ -298,13 +301,14 @@ class SunSpec(Model):
 
 
 class LightSpec(Model):
-    """A light besides the sun. Positions as in views: degrees and height above ground, or metres on a made ground.
+    """A light besides the sun.
 
-    ``cutoff`` is the half angle of a spot's cone, degrees. ``intensity`` is the irradiance at normal incidence, in units of the
-    sun's, at the spot's target (an omni light: on the ground below it); it falls off with the square of the distance. ``radius``
-    is that of the ball that shines, metres, whose shadows have penumbrae; 0: a point.
+    Positions are as in views: degrees and height above ground, or metres on flat or generated ground. ``cutoff`` is the half angle
+    of a spot's cone, degrees. ``intensity`` is the irradiance at normal incidence, in units of the sun's, at the spot's target
+    (omni light: on the ground below it). It falls off with the square of the distance. ``radius`` is that of the spherical light
+    source, metres, which casts penumbrae; 0: a point.
 
-    A path of its ``motion`` says where its position, its target or both are instead; ``intensity`` is that at its first key.
+    A path in ``motion`` replaces the position, the target or both. ``intensity`` then applies at the first key.
     """
 
     kind: Literal["spot", "omni"]
@@ -339,12 +343,12 @@ class LightSpec(Model):
 
     @property
     def moves(self) -> bool:
-        """Whether it moves by the level's clock."""
+        """Whether the light moves with the level's clock."""
         return self.motion is not None
 
 
 class MapSpec(Model):
-    """A map view: orthographic, straight down. ``bounds`` are in ``crs``; what is left out follows from the level."""
+    """A map view: orthographic, straight down. ``bounds`` are in ``crs``. Defaults derive from the level."""
 
     kind: Literal["map"]
     bounds: tuple[float, float, float, float] | None = None
@@ -360,8 +364,10 @@ class MapSpec(Model):
 
 
 class PerspectiveSpec(Model):
-    """A perspective view. ``eye`` and ``target``: longitude, latitude, metres above the ground there; on a made ground metres
-    east and north of its middle and above it. ``fov`` is the vertical field of view in degrees.
+    """A perspective view.
+
+    ``eye`` and ``target`` are longitude, latitude and metres above the ground there. On flat or generated ground they are metres
+    east and north of its centre, and above it. ``fov`` is the vertical field of view in degrees.
     """
 
     kind: Literal["perspective"]

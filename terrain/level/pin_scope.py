@@ -1,4 +1,4 @@
-"""Where a pin holds: for one view or all of them, and for a range of suns; and which of some pins holds where."""
+"""Scope of a pin: one view or all views, and a range of sun altitudes; and the coverage of several pins."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ ALL_SUNS: Range = (-90.0, 90.0)
 
 
 class PinScope(Model):
-    """Where a pin holds. ``view`` is a view's name (``map``: its tiles, too), ``sun_altitude_deg`` the sun's least and greatest
-    altitude at the level's anchor; what is left out may be any. Without a sun only a pin without a range holds.
+    """Scope of a pin.
+
+    ``view`` is a view's name; ``map`` includes its tiles. ``sun_altitude_deg`` is the minimum and maximum altitude of the sun at
+    the level's anchor. A missing key does not restrict the scope. Without a sun only a pin without a range applies.
     """
 
     view: str | None = None
@@ -28,12 +30,12 @@ class PinScope(Model):
     @classmethod
     def _not_empty(cls, value: Range | None) -> Range | None:
         if value is not None and not value[0] < value[1]:
-            raise PydanticCustomError("range", "[least, most] in degrees, the least below the most")
+            raise PydanticCustomError("range", "[minimum, maximum] in degrees, with minimum < maximum")
         return value
 
     @property
     def where(self) -> str:
-        """In words, as ``view village, sun 5 to 20 degrees high``."""
+        """The scope in words, such as ``view village, sun 5 to 20 degrees high``."""
         parts = ["all views" if self.view is None else f"view {self.view}"]
         if self.sun_altitude_deg is not None:
             low, high = self.sun_altitude_deg
@@ -41,7 +43,7 @@ class PinScope(Model):
         return ", ".join(parts)
 
     def holds(self, view: str, sun_altitude_deg: float | None) -> bool:
-        """Whether it holds for a view under a sun (``None``: without one)."""
+        """Return whether the pin applies to a view and a sun altitude (``None``: no sun)."""
         if self.view is not None and self.view != view:
             return False
         if self.sun_altitude_deg is None:
@@ -50,7 +52,7 @@ class PinScope(Model):
 
 
 def suns_left(scopes: Sequence[PinScope], number: int, view: str) -> list[Range]:
-    """The altitudes for which it is this of some pins that is taken in a view: those that no earlier one holds for."""
+    """Return the ranges of sun altitudes in which a pin applies to a view and no earlier pin does."""
     scope = scopes[number]
     if scope.view not in (None, view):
         return []
@@ -63,8 +65,9 @@ def suns_left(scopes: Sequence[PinScope], number: int, view: str) -> list[Range]
 
 
 def never_taken(scopes: Sequence[PinScope], views: Collection[str], sunless: bool) -> Iterator[tuple[int, list[int]]]:
-    """The pins that hold for nothing that earlier ones leave, each with those earlier ones; ``sunless``: the level may be without
-    a sun.
+    """Yield the number of each pin that earlier pins cover completely, with the numbers of those earlier pins.
+
+    ``sunless`` says whether the level may have no sun.
     """
     for number, scope in enumerate(scopes):
         own = [view for view in views if scope.view in (None, view)]

@@ -1,4 +1,4 @@
-"""Rasters as they are opened, whatever is in them; and which files are rasters."""
+"""Open rasters of any content, and detect which files are rasters."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
     import rasterio
 
 LEVEL_SUFFIXES = ".yaml", ".yml"
-"""Of level files."""
 
 
 def open_raster(source: str, **options: Any) -> rasterio.DatasetReader:
-    """A raster that is open, with options of its driver. Raises ``SourceError`` for what must not be opened (``check_geodata``),
-    ``RasterioError`` and ``OSError`` for what cannot.
+    """Open a raster with options of its driver.
+
+    Raises ``SourceError`` if it must not be opened (``check_geodata``), ``RasterioError`` or ``OSError`` if it cannot be opened.
     """
-    import rasterio  # here: level files alone need none of it
+    import rasterio  # imported here because level files alone do not need it
 
     check_geodata(source)
     return rasterio.open(source, **options)
 
 
 def is_raster(source: Path | str) -> bool:
-    """Whether GDAL reads a file as a raster."""
+    """Return whether GDAL reads a file as a raster."""
     from rasterio.errors import RasterioError
 
     try:
@@ -38,5 +38,5 @@ def is_raster(source: Path | str) -> bool:
 
 
 def is_level_raster(path: Path) -> bool:
-    """Whether a file is no level file but a raster, which is a level by itself."""
+    """Return whether a file is a raster, not a level file, so that it becomes a level of its own."""
     return path.suffix.lower() not in LEVEL_SUFFIXES and is_raster(path)

@@ -1,4 +1,4 @@
-"""Settings as requests take them: read off the fields of a model, so that a setting is declared there and nowhere else."""
+"""Settings of requests, derived from the fields of a pydantic model, so that each setting is declared once."""
 
 from __future__ import annotations
 
@@ -13,21 +13,27 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 FrontEnd = Literal["render", "select", "pictures", "plans"]
-"""What takes settings: two commands, and what is asked for over HTTP."""
+"""Front ends that accept settings: two commands and two kinds of HTTP requests."""
 
 AUTO = "auto"
-"""What leaves a setting to the selector. A request does so by not naming it."""
+"""Value that leaves a setting to the selector. Requests omit the setting instead."""
 
 _FORMS: dict[str, Any] = {"Literal": Literal, "Annotated": Annotated}
-"""Forms of types that are filled while the program runs."""
+"""Type constructors that are subscripted at run time, which type checkers reject in direct use."""
 
 
 @dataclass(frozen=True)
 class Requests:
-    """Said of a field (in its ``Annotated``) that requests do not take as they take the others.
+    """Metadata of a field, in its ``Annotated``, if requests accept it differently from other fields.
 
-    ``take`` are the front ends that take it. ``spelt`` is its type in requests, where a level file may say it in ways that
-    a request cannot. With ``auto`` a request may ask for ``auto``.
+    Attributes
+    ----------
+    take
+        Front ends that accept the field.
+    spelt
+        Type of the field in requests, if a level file allows more forms than a request; ``None``: the same type.
+    auto
+        Whether a request may set ``auto``.
     """
 
     take: tuple[FrontEnd, ...] = get_args(FrontEnd)
@@ -37,7 +43,19 @@ class Requests:
 
 @dataclass(frozen=True)
 class Setting:
-    """A setting as a request takes it: its name, what it is, in a sentence, and the type of its values with their limits."""
+    """A setting of a request.
+
+    Attributes
+    ----------
+    name
+        Name of the field.
+    about
+        Description in a sentence.
+    type
+        Type of the values, with their limits.
+    examples
+        Example values.
+    """
 
     name: str
     about: str
@@ -46,30 +64,30 @@ class Setting:
 
     @property
     def example(self) -> Any:
-        """A value: the one that the field has for an example, else the first of those that can be listed."""
+        """An example value: the first example of the field, else the first of ``words``."""
         return (*self.examples, *self.words)[0]
 
     @property
     def words(self) -> tuple[str | int, ...]:
-        """The values that can be listed."""
+        """The literal values of the type."""
         return tuple(word for part in _parts(self.type) if get_origin(part) is Literal for word in get_args(part))
 
     @property
     def plain_type(self) -> type:
-        """``int``, ``float`` or ``str``: what a command line reads, which has no better ones."""
+        """``int``, ``float`` or ``str``: the type for a command line, which has no unions."""
         found = {type(word) for word in self.words}
         found |= {_bare(part) for part in _parts(self.type) if get_origin(part) is not Literal}
         return found.pop() if len(found) == 1 else str
 
     @property
     def allowed(self) -> str:
-        """The values in words, as ``16, 24 or 32`` or ``64 to 8192``; empty where any will do."""
+        """The allowed values in words, such as ``16, 24 or 32`` or ``64 to 8192``; empty if all are."""
         *most, last = (*map(str, self.words), *filter(None, map(_span, _parts(self.type)))) or ("",)
         return f"{', '.join(most)} or {last}" if most else last
 
 
 def settings_of(model: type[BaseModel], front_end: FrontEnd) -> list[Setting]:
-    """The settings that a front end takes, in the order of their fields."""
+    """Return the settings that a front end accepts, in the order of their fields."""
     found = []
     for name, field in model.model_fields.items():
         requests = next((each for each in field.metadata if isinstance(each, Requests)), Requests())
@@ -79,7 +97,7 @@ def settings_of(model: type[BaseModel], front_end: FrontEnd) -> list[Setting]:
 
 
 def _asked(field: FieldInfo, requests: Requests) -> Any:
-    """A field's type less ``auto`` and ``None``, with its limits."""
+    """Return a field's type without ``auto`` and ``None``, with its limits."""
     if requests.spelt is not None:
         return requests.spelt
     asked = field.annotation if requests.auto else reduce(or_, _named(field.annotation))
@@ -88,7 +106,7 @@ def _asked(field: FieldInfo, requests: Requests) -> Any:
 
 
 def _named(annotation: Any) -> Iterator[Any]:
-    """The parts of a type, less ``auto`` and ``None``."""
+    """Yield the parts of a type without ``auto`` and ``None``."""
     for part in _parts(annotation):
         if get_origin(part) is Literal:
             words = tuple(word for word in get_args(part) if word != AUTO)
@@ -99,7 +117,7 @@ def _named(annotation: Any) -> Iterator[Any]:
 
 
 def _parts(annotation: Any) -> Iterator[Any]:
-    """The parts of a union, or a type by itself."""
+    """Yield the parts of a union, or the type itself."""
     if get_origin(annotation) in (Union, UnionType):
         for part in get_args(annotation):
             yield from _parts(part)
@@ -112,7 +130,7 @@ def _bare(annotation: Any) -> Any:
 
 
 def _span(annotation: Any) -> str:
-    """The limits of a number in words."""
+    """Return the limits of a number in words; empty if it has none."""
     limits: dict[str, Any] = {}
     for each in _limits(get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()):
         limits |= {name: getattr(each, name) for name in ("ge", "le", "gt") if hasattr(each, name)}

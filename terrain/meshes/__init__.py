@@ -1,1 +1,1 @@
-"""Solid things: buildings, models and generated bodies, set on the ground as one set of triangles."""
+"""Meshes: buildings, models and generated bodies, placed on the ground as one set of triangles."""

@@ -1,4 +1,4 @@
-"""A level's meshes set on its ground: buildings, models and generated bodies as one set of triangles."""
+"""Place a level's meshes on its ground: buildings, models and generated bodies as one set of triangles."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skugga.terrain.errors import MISSING_VALUE, LevelError
+from skugga.terrain.errors import LevelError, Problem
 from skugga.terrain.geo.world import World
 from skugga.terrain.ground.elevation import Elevation
 from skugga.terrain.ground.geolocate import Geolocator
@@ -21,18 +21,28 @@ from skugga.terrain.meshes.models import is_model, read_model
 from skugga.terrain.meshes.solids import Solids
 
 MODEL_KEYS = ("at", "scale", "turn", "caster", "motion")
-"""Keys of a mesh that footprints, which stand where their file says, have no use for."""
+"""Keys of a mesh that do not apply to footprints, whose file holds their positions."""
 
 FOOTPRINT_KEYS = ("height", "surface", "ground", "roof", "layer")
-"""Keys of a mesh that anything but footprints has no use for."""
+"""Keys of a mesh that apply to footprints only."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """All bodies of a level where they stand: those that are seen, and those that cast (the same, or stand-ins).
+    """All placed bodies of a level.
 
-    ``casting_buildings`` says of each that casts whether it is a building: a footprint that was extruded. ``notes`` say what was
-    read of footprints, ``warnings`` what was not.
+    Attributes
+    ----------
+    seen
+        The visible bodies.
+    casting
+        The casting bodies: the visible ones, or their stand-ins.
+    casting_buildings
+        For each casting body whether it is a building, which is an extruded footprint.
+    notes
+        Data read from the files of footprints, in words.
+    warnings
+        Data of these files that was not used, in words.
     """
 
     seen: tuple[PlacedBody, ...]
@@ -44,17 +54,17 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class _Spot:
-    """An earth-fixed point, and a rotation (3, 3) to earth-fixed axes: from east, north, up there, or as a body is turned."""
+    """An earth-fixed point, and a rotation (3, 3) from local east, north, up, or from a body's axes, to earth-fixed axes."""
 
     point_earth_m: np.ndarray
     earth_from_enu: np.ndarray
 
 
 def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Placement:
-    """What a level's meshes are and where they stand, whatever its clock says.
+    """Return a level's meshes and their positions, independent of its clock.
 
-    Raises ``LevelError`` for a key that does not fit, a place off the terrain or a path under its ground, ``SourceError`` for a
-    file that cannot be used.
+    Raises ``LevelError`` for a key that does not apply, a position off the terrain or a path under the ground, ``SourceError`` for
+    an unusable file.
     """
     seen: list[PlacedBody] = []
     casting: list[PlacedBody] = []
@@ -66,13 +76,13 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
         where = f"{loaded.path}: meshes.{number}"
         from_footprints = spec.source is not None and not is_model(spec.source)
         if from_footprints:
-            _refuse(spec, MODEL_KEYS, where, "no such key for footprints, which stand where their file says")
+            _refuse(spec, MODEL_KEYS, where, "does not apply to footprints, whose file holds their positions")
             found = buildings(spec, where, loaded, world, elevation)
             standing = stand_ins = found.bodies
             notes += [f"{spec.source}: {note}" for note in found.notes]
             warnings += [f"{spec.source}: {warning}" for warning in found.warnings]
         else:
-            _refuse(spec, FOOTPRINT_KEYS, where, "no such key but for footprints")
+            _refuse(spec, FOOTPRINT_KEYS, where, "applies to footprints only")
             motion = _motion(spec, where, place)
             spots = _spots(spec, motion, where, place)
             standing = stand_ins = _stood(_bodies(spec, loaded), spec, spots, motion)
@@ -87,7 +97,7 @@ def place_meshes(loaded: LoadedLevel, world: World, elevation: Elevation) -> Pla
 
 
 def solids(placement: Placement, seconds: float) -> Solids:
-    """The triangles of placed bodies at a second of the clock."""
+    """Return the triangles of placed bodies at a time of the clock."""
     on_paths: dict[int, _Spot] = {}
     seen = [_stance(placed, seconds, on_paths) for placed in placement.seen]
     vertices, triangles = _gathered(seen)
@@ -109,7 +119,7 @@ def solids(placement: Placement, seconds: float) -> Solids:
 
 
 def _gathered(bodies: Sequence[tuple[Body, _Spot]]) -> tuple[np.ndarray, np.ndarray]:
-    """Earth-fixed vertices (n, 3) and triangles (m, 3) int32 of all bodies."""
+    """Return earth-fixed vertices (n, 3) and triangles (m, 3) int32 of all bodies."""
     first = np.cumsum([0, *(len(body.vertices_m) for body, _ in bodies)])
     vertices = [spot.point_earth_m + body.vertices_m @ spot.earth_from_enu.T for body, spot in bodies]
     triangles = [body.triangles + np.int32(first_vertex) for (body, _), first_vertex in zip(bodies, first, strict=False)]
@@ -117,7 +127,7 @@ def _gathered(bodies: Sequence[tuple[Body, _Spot]]) -> tuple[np.ndarray, np.ndar
 
 
 def _stance(placed: PlacedBody, seconds: float, on_paths: dict[int, _Spot]) -> tuple[Body, _Spot]:
-    """A body, its origin at a second of the clock and the rotation from its axes; ``on_paths`` are those known by their motion."""
+    """Return a body with its origin and rotation at a time of the clock. ``on_paths`` caches them by the id of the motion."""
     motion = placed.motion
     if motion is None:
         return placed.body, _Spot(placed.origin_earth_m, placed.earth_from_body)
@@ -145,13 +155,13 @@ def _bodies(spec: MeshSpec, loaded: LoadedLevel) -> list[Body]:
 
 
 def _stood(bodies: list[Body], spec: MeshSpec, spots: list[_Spot], motion: BodyMotion | None) -> list[PlacedBody]:
-    """The bodies at every spot; one body at several spots is one value."""
+    """Return the bodies placed at every spot. All copies of a body share one ``Body``."""
     turned = [transformed(body, turn_deg=spec.turn, scale=spec.scale) for body in bodies]
     return [PlacedBody(body, spot.point_earth_m, spot.earth_from_enu, motion) for spot in spots for body in turned]
 
 
 def _motion(spec: MeshSpec, where: str, place: Geolocator) -> BodyMotion | None:
-    """How a level's mesh moves, if it does. Raises ``LevelError`` for a path off the terrain or under its ground."""
+    """Return the motion of a level's mesh, if any. Raises ``LevelError`` for a path off the terrain or under the ground."""
     motion = spec.motion
     if motion is None or not motion.moves:
         return None
@@ -164,7 +174,7 @@ def _motion(spec: MeshSpec, where: str, place: Geolocator) -> BodyMotion | None:
 
 
 def _spots(spec: MeshSpec, motion: BodyMotion | None, where: str, place: Geolocator) -> list[_Spot]:
-    """Where a level's mesh stands, before it moves: of one on a path its first key."""
+    """Return the spots of a level's mesh before it moves; for a mesh on a path, that of its first key."""
     if motion is None or motion.path is None:
         places: Sequence[MapPosition | None] = spec.places or [None]
         return [_spot(position, where, place) for position in places]
@@ -173,17 +183,19 @@ def _spots(spec: MeshSpec, motion: BodyMotion | None, where: str, place: Geoloca
 
 
 def _spot(at: MapPosition | None, where: str, place: Geolocator) -> _Spot:
-    """The ground at a place of a level, without one at the anchor. Raises ``LevelError`` off the terrain."""
+    """Return the ground at a position of a level (``None``: the anchor). Raises ``LevelError`` off the terrain."""
     world, elevation = place.world, place.elevation
     x, y = (world.anchor_x, world.anchor_y) if at is None else place.xy(at)
     height = float(elevation.filled_ground_m(x, y)) if np.isfinite([x, y]).all() else np.nan
     if not np.isfinite(height):
-        raise LevelError(f"{where}.at", MISSING_VALUE if at is None else at, f"a position on the terrain: within {place.extent}")
+        if at is None:
+            raise LevelError.missing(f"{where}.at", f"Set a position on the terrain: within {place.extent}")
+        raise LevelError(f"{where}.at", at, f"a position on the terrain: within {place.extent}")
     point, up = world.ground(elevation.crs, np.float64(x), np.float64(y))
     return _Spot(point + height * up, world.earth_from_enu(point, up))
 
 
-def _refuse(spec: MeshSpec, keys: tuple[str, ...], where: str, allowed: str) -> None:
+def _refuse(spec: MeshSpec, keys: tuple[str, ...], where: str, problem: str) -> None:
     for key in keys:
         if key in spec.model_fields_set:
-            raise LevelError(f"{where}.{key}", spec.model_dump(include={key}, exclude_unset=True)[key], allowed)
+            raise LevelError(f"{where}.{key}", Problem(problem), "Remove this key")

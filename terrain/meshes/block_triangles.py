@@ -1,4 +1,4 @@
-"""Triangles of blocks over polygons: roof, walls and floor, closed whatever the outline."""
+"""Triangulate polygons extruded to blocks: roof, walls and floor, closed for every outline."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from skugga.terrain.meshes.roofs import Roof
 
 
 def block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Roof, walls and floor of a block (m, 3) over n corners, and which triangles are roof.
+    """Return the triangles (m, 3) of a block over n corners, and a mask (m,) of the roof's triangles.
 
-    Vertices [0, n) are the roof's, [n, 2 n) the floor's. Rings keep the building on their left.
+    Vertices [0, n) are the roof's, [n, 2 n) the floor's. Rings have the building on their left.
     """
     count = int(ring_ends[-1])
     here, following = np.arange(count), _following(ring_ends)
@@ -25,7 +25,7 @@ def block_triangles(roof: np.ndarray, ring_ends: np.ndarray) -> tuple[np.ndarray
 
 
 def sloped_triangles(roof: Roof) -> tuple[np.ndarray, np.ndarray]:
-    """The same of a block under a roof with slopes, whose ridge are the vertices after the floor's."""
+    """Return the same for a block under a sloped roof. The vertices of the ridge follow those of the floor."""
     block, _ = block_triangles(np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.array([4]))
     slopes = np.where(roof.triangles >= 4, roof.triangles + 4, roof.triangles).astype(np.int32)
     triangles = np.concatenate([slopes, block[2:]])
@@ -33,16 +33,19 @@ def sloped_triangles(roof: Roof) -> tuple[np.ndarray, np.ndarray]:
 
 
 def roof_triangles(xy: np.ndarray, ring_ends: np.ndarray) -> np.ndarray:
-    """Counter-clockwise triangles (m, 3) of a polygon's corners (n, 2). Every edge of every ring is the edge of one triangle."""
+    """Return counter-clockwise triangles (m, 3) of a polygon's corners (n, 2).
+
+    Every edge of every ring is the edge of one triangle.
+    """
     clipped = mapbox_earcut.triangulate_float64(np.ascontiguousarray(xy), ring_ends.astype(np.uint32)).reshape(-1, 3)
     triangles = _facing_up(clipped.astype(np.int32), xy)
-    # Ear clipping skips corners that come to lie on a straight line on the way: without them roof and wall would part.
-    missing = len(xy) + 2 * (len(ring_ends) - 1) - 2 - len(triangles)  # n + 2 h - 2 triangles of n corners and h holes
+    # Ear clipping skips corners that become collinear on the way. Without them the roof and the walls would have gaps.
+    missing = len(xy) + 2 * (len(ring_ends) - 1) - 2 - len(triangles)  # n corners and h holes give n + 2 h - 2 triangles
     return triangles if missing <= 0 else _with_skipped(triangles, xy, ring_ends, missing)
 
 
 def _with_skipped(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray, missing: int) -> np.ndarray:
-    """The triangles with those cut in two, up to a number, that have a corner of the polygon between the ends of an edge."""
+    """Split up to ``missing`` triangles at a corner of the polygon that lies inside one of their edges; return all triangles."""
     from scipy.spatial import cKDTree
 
     rings = set(zip(range(len(xy)), _following(ring_ends).tolist(), strict=True))
@@ -74,14 +77,14 @@ def _with_skipped(triangles: np.ndarray, xy: np.ndarray, ring_ends: np.ndarray, 
 
 
 def _following(ring_ends: np.ndarray) -> np.ndarray:
-    """The index (n,) of the corner after each corner of its ring."""
+    """Return the index (n,) of the next corner of the ring for each corner."""
     following = np.arange(1, int(ring_ends[-1]) + 1)
     following[ring_ends - 1] = np.concatenate([[0], ring_ends[:-1]])
     return following
 
 
 def _facing_up(triangles: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """Triangles with an area, counter-clockwise."""
+    """Return the triangles that have an area, all counter-clockwise."""
     a, b, c = np.moveaxis(xy[triangles], 1, 0)
     twice = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     turned = np.where(twice[:, None] < 0, triangles[:, ::-1], triangles)

@@ -1,4 +1,4 @@
-"""Bodies: meshes as values, before they stand anywhere, and bodies placed on the earth."""
+"""Bodies: meshes in their own coordinates, and bodies placed on the earth."""
 
 from __future__ import annotations
 
@@ -15,39 +15,42 @@ from skugga.terrain.ground.ground_path import GroundPath
 from skugga.terrain.srgb import linear_of_srgb
 
 NEUTRAL = (0.6, 0.6, 0.6)
-"""sRGB colour of what has none: light gray."""
+"""Default sRGB colour: light gray."""
 
 CREASE_DEG = 30.0
 """Largest angle between two faces that are shaded as one curved surface."""
 
 MOST_SMOOTHED = 512
-"""Corners that meet in a place and are looked at pair by pair. Where more do, in the middle of a large fan or where faces lie on
-one another, each face is shaded by itself: what it differs from its neighbours there cannot be seen."""
+"""Maximum number of corners at a vertex whose normals are smoothed, since their faces are compared pair by pair.
+
+More corners meet in the middle of a large fan, or if faces coincide. Each face then has its own normal, because differences between
+such neighbours are invisible.
+"""
 
 MERGE_SHARE = 1e-8
-"""Vertices closer than about this share of a body's size are one place."""
+"""Tolerance for merging vertices, as a share of the body's size."""
 
 
 VectorLike = Sequence[float] | np.ndarray
 
 
 def srgb_albedo(color: VectorLike) -> np.ndarray:
-    """Linear albedo (..., 3) float32 of sRGB colours in [0, 1]."""
+    """Return the linear albedo (..., 3) float32 of sRGB colours in [0, 1]."""
     return linear_of_srgb(np.asarray(color, np.float64)).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A mesh in coordinates of its own. Triangles without an area are dropped when it is made.
+    """A mesh in its own coordinates. The constructor drops triangles without an area.
 
     Attributes
     ----------
     vertices_m
-        float64 (n, 3): east, north, up from the body's origin (for a ``PlacedBody`` one whatever its axes are).
+        float64 (n, 3): east, north, up from the body's origin, metres. Those of a ``PlacedBody`` may have other axes.
     triangles
         int32 (m, 3), counter-clockwise from outside.
     albedo
-        float32 (m, 3), linear, in [0, 1]; one colour (3,) is spread over all triangles.
+        float32 (m, 3), linear, in [0, 1]; one colour (3,) is broadcast to all triangles.
     """
 
     vertices_m: np.ndarray
@@ -65,7 +68,7 @@ class Body:
 
     @cached_property
     def merged_triangles(self) -> np.ndarray:
-        """The triangles (m, 3) int32 with one index for all vertices in one place."""
+        """The triangles (m, 3) int32 with one index for all vertices at the same position."""
         low, high = self.vertices_m.min(axis=0, initial=np.inf), self.vertices_m.max(axis=0, initial=-np.inf)
         step = MERGE_SHARE * max(float(np.max(high - low, initial=0.0)), 1e-30)
         cells = np.rint((self.vertices_m - low) / step).astype(np.int64)
@@ -74,7 +77,7 @@ class Body:
 
     @cached_property
     def closed(self) -> bool:
-        """Whether every directed edge is met exactly once, and once in the other direction; vertices merged by position."""
+        """Whether the surface is closed: every directed edge occurs once, and once reversed, after merging vertices by position."""
         a = self.merged_triangles.astype(np.int64)
         if not len(a):
             return False
@@ -85,25 +88,32 @@ class Body:
 
     @property
     def volume_m3(self) -> float:
-        """Signed volume: positive where a closed body's triangles face outwards."""
+        """Signed volume: positive if the triangles of a closed body face outwards."""
         a, b, c = np.moveaxis((self.vertices_m - self.vertices_m[:1])[self.triangles], 1, 0)
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
     def corner_normals(self, crease_deg: float = CREASE_DEG) -> np.ndarray:
-        """Unit shading normals (m, 3, 3) float32 at the triangles' corners.
+        """Return unit shading normals (m, 3, 3) float32 at the triangles' corners.
 
-        The mean of the faces round the corner's place whose normals lie within ``crease_deg`` of the triangle's own, weighted by
-        their angles there, so that it does not depend on how a surface is cut into triangles (Thuermer and Wuethrich 1998,
-        "Computing vertex normals from polygonal facets", J. Graphics Tools 3(1):43-46).
+        A corner's normal is the mean of the normals of the faces around its vertex that lie within ``crease_deg`` of the triangle's
+        own normal. Weights are the faces' angles at the vertex, so the result does not depend on the triangulation (Thuermer and
+        Wuethrich 1998, "Computing vertex normals from polygonal facets", J. Graphics Tools 3(1):43-46).
         """
         return _corner_normals(self, float(crease_deg))
 
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
-    """How a body moves by the clock: turning about its up axis, along a path, or both.
+    """Motion of a body by the clock: a spin about its up axis, a path, or both.
 
-    ``along`` says whether what faces south of it goes first.
+    Attributes
+    ----------
+    spin_deg_per_s
+        Counter-clockwise about the up axis, degrees per second.
+    path
+        Path of the body's origin.
+    along
+        Whether the body's south side faces along the path.
     """
 
     spin_deg_per_s: float = 0.0
@@ -111,16 +121,25 @@ class BodyMotion:
     along: bool = False
 
     def turn_deg(self, seconds: float) -> float:
-        """How far it is turned at a second of the clock, counter-clockwise, degrees."""
+        """Return the body's rotation at a time of the clock, degrees counter-clockwise."""
         heading = 180.0 - self.path.azimuth_deg(seconds) if self.along and self.path is not None else 0.0
         return heading + self.spin_deg_per_s * seconds
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedBody:
-    """A body on the earth: ``vertex_earth = origin_earth_m + earth_from_body @ vertex``, where it stands without its ``motion``.
+    """A body on the earth, before its motion: ``vertex_earth = origin_earth_m + earth_from_body @ vertex``.
 
-    ``earth_from_body`` is a rotation (3, 3) float64.
+    Attributes
+    ----------
+    body
+        The mesh.
+    origin_earth_m
+        Earth-fixed position of the body's origin, float64 (3,), metres.
+    earth_from_body
+        Rotation (3, 3) float64 from the body's to earth-fixed axes.
+    motion
+        Motion by the clock; ``None``: the body rests.
     """
 
     body: Body
@@ -130,19 +149,19 @@ class PlacedBody:
 
 
 def box(size_m: VectorLike, centre_m: VectorLike = (0.0, 0.0, 0.0), albedo: VectorLike | None = None) -> Body:
-    """A box of ``size_m`` (east, north, up) round its centre; ``albedo`` is linear."""
+    """Return a box of ``size_m`` (east, north, up) around its centre; ``albedo`` is linear."""
     return _made(trimesh.creation.box(extents=size_m), centre_m, albedo)
 
 
 def transformed(body: Body, offset_m: Sequence[float] = (0.0, 0.0, 0.0), turn_deg: float = 0.0, scale: float = 1.0) -> Body:
-    """A body scaled, then turned counter-clockwise about the up axis through its origin, then moved."""
+    """Return a body scaled, then turned counter-clockwise about the up axis through its origin, then moved."""
     vertices = scale * body.vertices_m @ turn_about_up(turn_deg).T + np.asarray(offset_m, np.float64)
     return Body(vertices, body.triangles, body.albedo)
 
 
 def turn_about_up(turn_deg: float) -> np.ndarray:
-    """Rotation (3, 3) counter-clockwise about the up axis."""
-    # The remainder first: a clock's degrees grow without end.
+    """Return the rotation matrix (3, 3) of a counter-clockwise turn about the up axis."""
+    # The remainder keeps precision, because the angle grows with the clock without bound.
     turn = np.radians(np.remainder(turn_deg, 360.0))
     c, s = np.cos(turn), np.sin(turn)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -154,7 +173,7 @@ def _made(mesh: trimesh.Trimesh, centre_m: VectorLike, albedo: VectorLike | None
 
 
 def _has_area(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Which triangles (m, 3) span an area that float64 can tell from none."""
+    """Return a mask of the triangles (m, 3) whose area float64 distinguishes from 0."""
     a, b, c = np.moveaxis(vertices[triangles], 1, 0)
     double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.max([np.einsum("ij,ij->i", side, side) for side in (b - a, c - b, a - c)], axis=0)
@@ -167,7 +186,7 @@ def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
     count = int(places.max(initial=-1)) + 1
     corner_of_place = np.argsort(places.ravel(), kind="stable")
     first = np.concatenate([[0], np.cumsum(np.bincount(places.ravel(), minlength=count))])
-    # A hair more than asked, so that faces at the very crease angle do not part by rounding.
+    # A tolerance, so that rounding does not separate faces at exactly the crease angle.
     least_cos = np.cos(np.radians(min(crease_deg, 180.0))) - 1e-9
     normals = _smoothed(body.vertices_m[body.triangles], corner_of_place, first, least_cos, MOST_SMOOTHED)
     normals.flags.writeable = False
@@ -176,8 +195,9 @@ def _corner_normals(body: Body, crease_deg: float) -> np.ndarray:
 
 @compiled
 def _smoothed(corners, corner_of_place, first, least_cos, most):
-    """Angle-weighted means of face normals round each place, within the crease, per corner (m, 3, 3); the faces' own where more
-    than ``most`` corners meet.
+    """Return angle-weighted means of face normals within the crease angle, per corner (m, 3, 3).
+
+    Corners at a vertex with more than ``most`` corners get the normal of their own face.
     """
     count = corners.shape[0]
     normal = np.empty((count, 3))

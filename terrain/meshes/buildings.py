@@ -1,11 +1,12 @@
-"""Buildings: footprints extruded to closed blocks, with flat roofs or, on small houses, pitched ones
-(``skugga.terrain.meshes.roofs``).
+"""Buildings: footprints extruded to closed blocks, with flat roofs or, on small houses, pitched ones.
 
-A flat roof, or the ridge, lies level at the mean ground along the footprint's outline plus the building's height; heights that
-are measured in a surface raster are counted from there too, so that the roof lies where the surface does. Walls go down to
-``FOOTING_M`` below the lowest ground of the outline, so that no gap opens on a slope, and a floor closes the block. What begins
-above the ground (a bridge, the storeys over a passage) has its floor level at the mean ground plus that height. "Level" is along
-the vertical at every corner: a long building follows the earth's curvature.
+- The height of a flat roof, or of the ridge (``skugga.terrain.meshes.roofs``), is the mean ground height along the footprint's
+  outline plus the building's height. Heights measured in a surface raster count from the same mean, so the roof lies at the
+  surface.
+- Walls extend to ``FOOTING_M`` below the lowest ground of the outline, which avoids gaps on slopes. A floor closes the block.
+- A building that begins above the ground, such as a bridge or the storeys over a passage, has its floor at the mean ground plus
+  its base height.
+- Roofs and floors are level along the vertical at every corner, so a long building follows the earth's curvature.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import shapely
 from pyproj import CRS
 from pyproj.exceptions import ProjError
 
-from skugga.terrain.errors import MISSING_VALUE, LevelError, SourceError
+from skugga.terrain.errors import LevelError, SourceError
 from skugga.terrain.geo.vectors import Features, VectorLayer, attribute_names, check_divided, read_features, vector_layer
 from skugga.terrain.geo.world import World, transformer
 from skugga.terrain.ground.elevation import Elevation
@@ -34,39 +35,40 @@ from skugga.terrain.meshes.footprint_heights import base_attributes, footprint_h
 from skugga.terrain.meshes.roofs import roof_over
 
 FOOTING_M = 0.5
-"""How far walls reach below the lowest ground of their outline."""
+"""Depth of walls below the lowest ground of their outline."""
 
 HIGHEST_M = 1000.0
-"""No building is higher; a larger number is a mistake, of the unit perhaps."""
+"""Maximum height of a building. A larger number is an error, perhaps of the unit."""
 
 OUTLINE_TOLERANCE_M = 0.001
-"""Corners that the outline passes within this distance without them are left out."""
+"""Tolerance for simplifying outlines."""
 
 MOST_CORNERS = 20_000
-"""Of a footprint, its courtyards' among them: its roof takes up to some ten seconds."""
+"""Maximum number of corners of a footprint with its courtyards. Its roof then takes up to some ten seconds."""
 
 MOST_CORNERS_OF_ALL = 3_000_000
-"""Of the footprints of a file: twelve million triangles."""
+"""Maximum number of corners of all footprints of a file: twelve million triangles."""
 
 DEGREE_M = 111_320.0
 
 ROOF_PERCENTILE = 90.0
-"""Of the surface in a footprint: below chimneys and overhanging crowns, above light wells and blurred eaves."""
+"""Percentile of the surface in a footprint that is its roof: below chimneys and overhanging crowns, above light wells and
+blurred eaves."""
 
 LEAST_MEASURED_M = 1.5
-"""Where a surface raster shows less above the ground there is no building: its noise, a terrace, one pulled down since."""
+"""Minimum height of a building in a surface raster. Lower ones are noise, a terrace, or demolished since."""
 
 LEAST_KNOWN = 0.5
-"""Share of a footprint that must have ground, or a surface, to stand on the terrain or to be measured."""
+"""Minimum share of a footprint with valid ground to be placed, or with a valid surface to be measured."""
 
 MAX_FLOATING = 0.5
-"""Share of the floors of a file that may not lie below their roofs: some are mistakes."""
+"""Maximum share of a file's floors not below their roofs that count as single errors of the data."""
 
 SAMPLES_A_SIDE = 256
-"""Most cells of a surface raster that are read along one side of a footprint."""
+"""Maximum number of cells of a surface raster that are sampled along one side of a footprint."""
 
 Transform = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""From coordinates (x, y) in a CRS to those in another."""
+"""Function from coordinates (x, y) in one CRS to those in another."""
 
 _POLYGON = 3  # shapely's type id
 
@@ -79,13 +81,23 @@ ROOF_COLORS = ((0.57, 0.35, 0.27), (0.48, 0.36, 0.30), (0.38, 0.40, 0.43), (0.44
 """sRGB: red and brown tile, slate, felt, zinc."""
 
 ALBEDO_VARIATION = (0.92, 1.06)
-"""How much darker or lighter a building is than its material."""
+"""Range of factors that make a building darker or lighter than its material."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Blocks:
-    """Footprints, one row a polygon: outlines in the terrain's CRS, heights of roof and floor, and how far the one is from the
-    other, or above the ground where the block stands on it.
+    """Footprints, one row per polygon.
+
+    Attributes
+    ----------
+    polygons
+        Outlines in the terrain's CRS.
+    color_key
+        Centroid (n, 2) of the feature, from which the colours derive.
+    roof_m, base_m
+        Heights (n,) of roof and floor, metres.
+    height_m
+        Height (n,) of the roof above the floor, or above the mean ground if the block stands on it, metres.
     """
 
     polygons: np.ndarray
@@ -97,7 +109,7 @@ class _Blocks:
 
 @dataclass(frozen=True, eq=False)
 class Buildings:
-    """Blocks over footprints; what was read of their file, and what was not, in words."""
+    """Blocks over footprints; ``notes`` and ``warnings`` say in words which data of the file was used, and which was not."""
 
     bodies: list[PlacedBody]
     notes: tuple[str, ...] = ()
@@ -105,13 +117,13 @@ class Buildings:
 
 
 def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, elevation: Elevation) -> Buildings:
-    """Return closed blocks over the footprints of ``spec.source`` that lie on the terrain, one a polygon.
+    """Return closed blocks over the footprints of ``spec.source`` that lie on the terrain, one per polygon.
 
     Heights are ``spec.height`` (metres, or an attribute's name), else those of ``spec.surface`` above ``spec.ground``, else those
-    of the attributes that ``height_attributes`` knows. A footprint is left out whose height is unknown, not above 0 nor above its
-    floor, or measured and below ``LEAST_MEASURED_M``, and one that has no ground under most of it. ``where`` is the key's path.
+    of the attributes that ``height_attributes`` recognises. Omits a footprint whose height is unknown, not above 0, not above its
+    floor, or measured and below ``LEAST_MEASURED_M``, and one without ground under most of it. ``where`` is the key's path.
 
-    Raises ``SourceError`` for a file that cannot be used, ``LevelError`` where nothing says how high buildings are.
+    Raises ``SourceError`` for an unusable file, ``LevelError`` if no source of heights exists.
     """
     assert spec.source is not None
     source = loaded.resolve(spec.source)
@@ -127,8 +139,8 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
     else:
         height = _surface_heights(polygons, elevation.crs, _raster(loaded, spec.surface), _raster(loaded, spec.ground))
     for i in np.flatnonzero(height > HIGHEST_M)[:1]:
-        raise SourceError(
-            source, f"a height of {height[i]:.6g} m at {features.label(feature[i])}", f"heights up to {HIGHEST_M:.0f} m"
+        raise SourceError.over_limit(
+            source, f"a height of {height[i]:.6g} m at {features.label(feature[i])}", f"{HIGHEST_M:.0f} m", "Check its unit"
         )
     with np.errstate(invalid="ignore"):
         tall = height >= LEAST_MEASURED_M if spec.surface else height > 0.0
@@ -137,7 +149,7 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
         wanted = f"a height above 0 in the attribute {named}"
         if spec.surface:
             wanted = f"{LEAST_MEASURED_M} m of {spec.surface} above {spec.ground}"
-        raise SourceError(source, f"no footprint with {wanted}", "heights in metres")
+        raise SourceError(source, f"no footprint with {wanted}", "Check the heights and their unit")
     base, floor_warnings = _floors(np.where(tall, said.base_m[feature], 0.0), height, features, feature)
     kept = tall & ~(height <= base)
     key = shapely.get_coordinates(shapely.centroid(features.geometry))[feature[kept]]
@@ -145,7 +157,7 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
     standing = np.isfinite(mean_m)
     if not standing.any():
         spans = [bounds_text(bounds, elevation.crs) for bounds in (shapely.total_bounds(features.geometry), elevation.bounds)]
-        raise SourceError(source, f"footprints within {spans[0]}", f"footprints on the terrain: within {spans[1]}")
+        raise SourceError(source, f"footprints within {spans[0]}", f"Use footprints on the terrain: within {spans[1]}")
     floor_m = np.where(base[kept] > 0.0, mean_m + base[kept], lowest_m - FOOTING_M)
     blocks = _Blocks(
         polygons[kept][standing], key[standing], (mean_m + height[kept])[standing], floor_m[standing],
@@ -161,25 +173,25 @@ def buildings(spec: MeshSpec, where: str, loaded: LoadedLevel, world: World, ele
 
 
 def _floors(base: np.ndarray, height: np.ndarray, features: Features, feature: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Heights (n,) of floors above the ground, and a line on those that are not below their roofs.
+    """Return the heights (n,) of floors above the ground, metres, and a warning about those that are not below their roofs.
 
-    Where that is more than ``MAX_FLOATING`` of them, they count from elsewhere, as from the sea: all are 0 instead.
+    Returns 0 for all if a share of more than ``MAX_FLOATING`` is wrong. Such heights have another reference, such as the sea.
     """
     wrong = np.flatnonzero((base > 0.0) & (height <= base))
     if not len(wrong):
         return base, []
     first, count = features.label(feature[wrong[0]]), np.count_nonzero(base)
     if len(wrong) > MAX_FLOATING * count:
-        said = f"{len(wrong)} of {count} floors are not below their roofs, as that of {first}"
-        return np.zeros_like(base), [f"{said}: heights of floors are passed over, and these buildings stand on the ground"]
+        said = f"{len(wrong)} of {count} floors are not below their roofs, such as that of {first}"
+        return np.zeros_like(base), [f"{said}. All heights of floors are ignored, and the buildings stand on the ground"]
     more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
-    return base, [f"{first}{more}: left out, the floor is not below the roof"]
+    return base, [f"{first}{more} left out: the floor is not below the roof"]
 
 
 def _attributes(spec: MeshSpec, where: str, source: str, layer: VectorLayer) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The attributes that heights are in, none where they come from elsewhere; and those that heights of floors are in."""
+    """Return the attributes of heights (none if heights have another source) and the attributes of floor heights."""
     if spec.surface is not None and spec.height is not None:
-        raise LevelError(f"{where}.height", spec.height, "either height, or surface and ground")
+        raise LevelError.conflict(f"{where}.height", "surface and ground", "Use either height, or surface and ground")
     known = attribute_names(source, layer.name or 0)
     bases = base_attributes(known)
     if isinstance(spec.height, str):
@@ -189,8 +201,8 @@ def _attributes(spec: MeshSpec, where: str, source: str, layer: VectorLayer) -> 
     tops = height_attributes(known)
     if tops:
         return tops, bases
-    allowed = f"metres, or an attribute of {source} ({', '.join(known) or 'it has none'}); or surface and ground rasters"
-    raise LevelError(f"{where}.height", MISSING_VALUE, allowed)
+    attributes = f"an attribute of {source} ({', '.join(known) or 'it has none'})"
+    raise LevelError.missing(f"{where}.height", f"Set it to metres or to {attributes}, or set surface and ground rasters")
 
 
 def _raster(loaded: LoadedLevel, source: str | None) -> Elevation:
@@ -199,30 +211,31 @@ def _raster(loaded: LoadedLevel, source: str | None) -> Elevation:
 
 
 def _outlines(features: Features, world: World) -> tuple[np.ndarray, np.ndarray]:
-    """The polygons of all features, tidied: rings counter-clockwise round the building, no needless corner; and whose they are."""
+    """Return the simplified polygons (n,) of all features, exterior rings counter-clockwise, and the features (n,) of them."""
     parts, feature = shapely.get_parts(features.geometry, return_index=True)
-    parts, part = shapely.get_parts(parts, return_index=True)  # multi-polygons of collections
+    parts, part = shapely.get_parts(parts, return_index=True)  # multi-polygons inside collections
     area = shapely.get_type_id(parts) == _POLYGON
     if not area.any():
         kind = parts[0].geom_type
-        raise SourceError(features.name, f"{kind} geometries", "polygons; or a model: .obj, .ply, .glb, .gltf")
+        raise SourceError(features.name, f"{kind} geometries", "Use polygons, or a model: .obj, .ply, .glb or .gltf")
     parts, feature = parts[area], feature[part[area]]
     unit_m = DEGREE_M if world.crs.is_geographic else world.metres_per_unit
-    # Normal rings begin at an outermost point, which is a corner: simplifying keeps it.
+    # Normalized rings begin at an outermost point, which is a corner. Simplifying keeps the first point.
     parts = shapely.simplify(shapely.normalize(parts), OUTLINE_TOLERANCE_M / unit_m)
     corners = shapely.get_num_coordinates(parts)
     for count, most, what in ((corners.max(), MOST_CORNERS, "a footprint"), (corners.sum(), MOST_CORNERS_OF_ALL, "footprints")):
         if count > most:
-            raise SourceError(features.name, f"{what} of {count} corners", f"at most {most}: simpler outlines")
+            raise SourceError.over_limit(features.name, f"{what} of {count} corners", str(most), "Simplify the outlines")
     solid = shapely.area(parts) > (OUTLINE_TOLERANCE_M / unit_m) ** 2
     if not solid.any():
-        raise SourceError(features.name, "only polygons without an area", "footprints")
+        raise SourceError(features.name, "only polygons without an area", "Use footprints with an area")
     return shapely.orient_polygons(parts[solid], exterior_cw=False), feature[solid]
 
 
 def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground: Elevation) -> np.ndarray:
-    """How far ``ROOF_PERCENTILE`` of the surface in each polygon lies above the mean ground along its outline, metres; NaN
-    where that is off the rasters.
+    """Return the height (n,) of each polygon's surface above the mean ground along its outline, metres.
+
+    The height of the surface is its percentile ``ROOF_PERCENTILE`` in the polygon. NaN if the polygon is off the rasters.
     """
     with closing(surface), closing(ground):
         to_surface = _transform(crs, surface)
@@ -239,10 +252,10 @@ def _surface_heights(polygons: np.ndarray, crs: CRS, surface: Elevation, ground:
 
 
 def _cells_under(polygon: shapely.Polygon, raster: Elevation, to_raster: Transform) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates (n,) in a raster's CRS of the centres of cells that stand for a polygon, be they on the raster or beyond it.
+    """Return coordinates x, y (n,), in a raster's CRS, of the centres of cells that sample a polygon, also off the raster.
 
-    Cells whose centres lie at least half a cell inside are taken, in narrow buildings all whose centres do, in tiny ones a
-    point inside. NaN where the polygon has no place in that CRS.
+    The cells are those with centres at least half a cell inside. Narrow buildings use all cells with centres inside, tiny ones a
+    point inside. NaN if the polygon cannot be transformed into that CRS.
     """
     cells = shapely.transform(polygon, lambda x, y: raster.cell_of(*to_raster(x, y)), interleaved=False)
     if not np.isfinite(cells.bounds).all():
@@ -251,7 +264,7 @@ def _cells_under(polygon: shapely.Polygon, raster: Elevation, to_raster: Transfo
 
 
 def _cells_inside(polygon: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns (n,) of cells that stand for a polygon in (row, col) coordinates."""
+    """Return rows and columns (n,) of the cells that sample a polygon in (row, col) coordinates."""
     low, high = np.ceil(polygon.bounds[:2]), np.floor(polygon.bounds[2:])
     step = np.maximum(np.ceil((high - low + 1) / SAMPLES_A_SIDE), 1)
     row, col = (v.ravel() for v in np.meshgrid(*(np.arange(*ends) for ends in zip(low, high + 1, step, strict=True))))
@@ -264,13 +277,14 @@ def _cells_inside(polygon: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _transform(crs: CRS, raster: Elevation) -> Transform:
-    """The function from coordinates in ``crs`` to the raster's. Raises ``SourceError`` if there is none."""
+    """Return the transformation from ``crs`` to the raster's CRS. Raises ``SourceError`` if PROJ has none."""
     if raster.crs == crs or (raster.crs.is_engineering and crs.is_engineering):
         return _unmoved
     try:
         return transformer(crs, raster.crs).transform
     except ProjError:
-        raise SourceError(raster.name, f"its CRS '{raster.crs.name}'", f"a CRS that '{crs.name}' can be transformed into") from None
+        problem = f"'{crs.name}' cannot be transformed into its CRS '{raster.crs.name}'"
+        raise SourceError(raster.name, problem, "Use a raster in another CRS") from None
 
 
 def _unmoved(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -278,7 +292,10 @@ def _unmoved(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and lowest ground along each polygon's outer ring, metres; the mean is NaN where most of the polygon has no ground."""
+    """Return the mean and the lowest ground height (n,) along each polygon's outer ring, metres.
+
+    The mean is NaN if most of the polygon has no valid ground.
+    """
     corner, beside = elevation.xy(0, 0), elevation.xy(0, 1)
     cell = float(np.hypot(corner[0] - beside[0], corner[1] - beside[1]))
     check_divided(elevation.name, polygons, cell)
@@ -291,7 +308,7 @@ def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarra
         np.bincount(ring[1:][known], weights=w[known], minlength=len(polygons)) for w in (middle * length, length)
     )
     mean = np.divide(total, total_length, out=np.full(len(polygons), np.nan), where=total_length > 0)
-    for i in np.unique(ring[np.isnan(ground) & np.isfinite(mean[ring])]):  # only there the outline leaves the ground
+    for i in np.unique(ring[np.isnan(ground) & np.isfinite(mean[ring])]):  # polygons whose outline leaves the valid ground
         if np.isfinite(elevation.filled_ground_m(*_cells_under(polygons[i], elevation, _unmoved))).mean() < LEAST_KNOWN:
             mean[i] = np.nan
     return mean, np.fmin.reduceat(ground, np.searchsorted(ring, np.arange(len(polygons))))
@@ -300,7 +317,7 @@ def _ground_along(polygons: np.ndarray, elevation: Elevation) -> tuple[np.ndarra
 def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None, form: RoofForm) -> list[PlacedBody]:
     rings, polygon = shapely.get_rings(blocks.polygons, return_index=True)
     xy, ring = shapely.get_coordinates(rings, return_index=True)
-    kept = np.append(ring[1:] == ring[:-1], False)  # a ring's last point is its first
+    kept = np.append(ring[1:] == ring[:-1], False)  # the last point of a ring repeats the first
     xy, ring = xy[kept], ring[kept]
     ground, up = world.ground(crs, xy[:, 0], xy[:, 1])
     ring_ends = np.cumsum(np.bincount(ring, minlength=len(rings)))
@@ -331,7 +348,7 @@ def _extruded(blocks: _Blocks, world: World, crs: CRS, albedo: np.ndarray | None
 
 
 def _materials(centre: np.ndarray, crs: CRS) -> tuple[np.ndarray, np.ndarray]:
-    """Wall and roof albedo, linear, of the building round a place: always the same there."""
+    """Return the linear albedo (3,) of wall and roof of a building, a deterministic choice by its centre."""
     step = 1e-6 if crs.is_geographic else 0.1
     bits = zlib.crc32(np.rint(centre / step).astype("<i8").tobytes())
     wall, roof = WALL_COLORS[bits % len(WALL_COLORS)], ROOF_COLORS[(bits >> 8) % len(ROOF_COLORS)]

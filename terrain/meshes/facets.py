@@ -1,4 +1,4 @@
-"""Normals of triangle meshes, and how much a mesh bends round each of its triangles."""
+"""Normals of triangle meshes, and the bend of a mesh around each of its triangles."""
 
 from __future__ import annotations
 
@@ -10,19 +10,27 @@ from skugga.terrain.compiled import compiled, in_shares, internal
 
 
 class FacesRound(NamedTuple):
-    """The faces round each of n nodes: where they begin (n + 1,) in a list of them, and that list, in the faces' order."""
+    """The faces around each of n nodes, in compressed form.
+
+    Attributes
+    ----------
+    start
+        int64 (n + 1,): the faces of node i are ``faces[start[i]:start[i + 1]]``.
+    faces
+        int32: numbers of faces, in increasing order for each node.
+    """
 
     start: np.ndarray
     faces: np.ndarray
 
 
 def faces_round(nodes: int, triangles: np.ndarray) -> FacesRound:
-    """The faces round each node of a mesh of triangles (m, 3)."""
+    """Return the faces around each of ``nodes`` nodes of a mesh of triangles (m, 3)."""
     return FacesRound(*_faces_round(nodes, triangles))
 
 
 def face_normals(position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Unit normals (m, 3) float32 of triangles (m, 3) of positions (n, 3); 0 where one has no area."""
+    """Return unit normals (m, 3) float32 of triangles (m, 3) of positions (n, 3); 0 for triangles without an area."""
     out = np.zeros((len(triangles), 3), np.float32)
     in_shares(len(triangles), _face_normals, position, triangles, out)
     return out
@@ -41,7 +49,7 @@ def _face_normals(first, last, position, triangles, out):
 
 
 def smooth_normals(faces: np.ndarray, around: FacesRound) -> np.ndarray:
-    """Unit normals (n, 3) float32 at nodes: the mean of those (m, 3) of the faces round each."""
+    """Return unit normals (n, 3) float32 at nodes: the mean of the normals (m, 3) of the faces around each."""
     out = np.zeros((len(around.start) - 1, 3), np.float32)
     in_shares(len(out), _smooth_normals, faces, around, out)
     return out
@@ -62,11 +70,10 @@ def _smooth_normals(first, last, faces, around, out):
 def creases(
     position: np.ndarray, faces: np.ndarray, triangles: np.ndarray, around: FacesRound, limit: float, wanted: np.ndarray
 ) -> np.ndarray:
-    """How much a mesh bends up round those of its faces that are ``wanted`` (m,); 0 round the others.
+    """Return the upward bend (m,) float32 of a mesh around its faces; 0 for faces outside the mask ``wanted`` (m,).
 
-    It is the largest distance (m,) float32, below ``limit``, between a face's unit normal and those of faces that share a node with
-    it and rise above its plane. What bends down is behind the plane as the light sees it, and cannot be taken for something in
-    front.
+    The bend is the largest distance, below ``limit``, between a face's unit normal and those of faces that share a node with it and
+    rise above its plane. A downward bend does not count: seen from the light it lies behind the plane, so it cannot occlude it.
     """
     out = np.zeros(len(triangles), np.float32)
     in_shares(len(triangles), _creases, position, faces, triangles, around, limit, wanted, out)
@@ -109,7 +116,7 @@ def _creases(first, last, position, faces, triangles, around, limit, wanted, out
 
 @internal
 def _rises(position, corners, point, normal):
-    """Whether a corner of a triangle lies above a plane, by more than rounding."""
+    """Return whether a corner of a triangle lies above a plane by more than rounding."""
     for k in range(3):
         x, y, z = (
             position[corners[k], 0] - point[0], position[corners[k], 1] - point[1], position[corners[k], 2] - point[2]

@@ -1,4 +1,4 @@
-"""Heights of footprints from their attributes: which attributes say them, in which unit, and from where up a building begins."""
+"""Heights of footprints from their attributes: names, units, and the base heights of buildings above the ground."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from skugga.terrain.ground.length_text import length_m
 from skugga.terrain.level.parts import METRES_PER_UNIT
 
 LEVEL_M = 3.0
-"""Of a storey, where a file counts storeys (OpenStreetMap's usual one)."""
+"""Height of a storey, for files that count storeys (OpenStreetMap's usual value)."""
 
 HEIGHT_NAMES = ("height_m", "height", "building:height", "bldg_height", "render_height", "measured_height", "hauteur")
 HEIGHT_FT_NAMES = ("height_ft", "building:height_ft", "bldg_height_ft")
 LEVEL_NAMES = ("building:levels", "levels", "num_floors", "floors", "storeys", "stories")
 BASE_NAMES = ("min_height", "building:min_height", "base_height", "render_min_height")
 BASE_LEVEL_NAMES = ("building:min_level", "min_level", "min_floor")
-"""What OpenStreetMap, Overture, map tiles and offices call heights; compared without case, blanks and punctuation."""
+"""Attribute names of OpenStreetMap, Overture, map tiles and agencies. Case, spaces and punctuation do not matter."""
 
 MISSING_WORDS = ("", "-", "nan", "none", "null", "na", "n/a", "unknown")
 
@@ -44,13 +44,13 @@ class FootprintHeights:
     Attributes
     ----------
     top_m
-        float64 (n,), from the ground to the top, metres; NaN where it is not known.
+        float64 (n,): height of the top above the ground, metres; NaN if unknown.
     base_m
-        float64 (n,), from the ground to the lowest part, metres; 0 where the building stands on it.
+        float64 (n,): height of the lowest part above the ground, metres; 0 for a building on the ground.
     notes
-        What was read, in words.
+        Attributes that were used, in words.
     warnings
-        What could not be read, in words.
+        Values that were ignored, in words.
     """
 
     top_m: np.ndarray
@@ -60,36 +60,46 @@ class FootprintHeights:
 
 
 def height_attributes(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the attributes that say how high buildings are: lengths first, then counts of storeys."""
+    """Return the attributes of building heights: lengths first, then counts of storeys."""
     return _matching(names, (*HEIGHT_NAMES, *HEIGHT_FT_NAMES, *LEVEL_NAMES))
 
 
 def base_attributes(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the attributes that say from which height up buildings begin."""
+    """Return the attributes of the base heights of buildings."""
     return _matching(names, (*BASE_NAMES, *BASE_LEVEL_NAMES))
 
 
 def spelt_like(name: str, names: Sequence[str]) -> str:
-    """Return the attribute of a name, else the only one that differs in case and punctuation, else the name itself."""
+    """Return the attribute with a name, else the only one that differs just in case and punctuation, else the name itself."""
     alike = _matching(names, (name,))
     return alike[0] if name not in names and len(alike) == 1 else name
 
 
 def footprint_heights(features: Features, tops: Sequence[str], bases: Sequence[str]) -> FootprintHeights:
-    """Read heights from the attributes ``tops`` (of each feature the first that says more than 0), and ``bases`` likewise.
+    """Read heights from the attributes ``tops``, and base heights from the attributes ``bases``.
 
-    Raises ``SourceError`` where ``tops`` hold text and no length at all.
+    The first attribute with a value above 0 counts for each feature. Raises ``SourceError`` if ``tops`` hold text but no length.
     """
-    top, base = _first_said(features, tops, "heights"), _first_said(features, bases, "begin above the ground")
+    top, base = _first_said(features, tops, "heights"), _first_said(features, bases, "base heights")
     if top.unread and not (top.values_m > 0.0).any():
-        raise SourceError(features.name, top.unread[0], "numbers, or lengths as 12 m or 40 ft")
-    warnings = [f"{said}, which is no length: it is passed over{more}" for said, more in (*top.told_unread, *base.told_unread)]
+        raise SourceError(features.name, f"{top.unread[0]}, which is not a length", "Use numbers, or lengths such as 12 m or 40 ft")
+    warnings = [f"{said}{more}: ignored, not a length" for said, more in (*top.told_unread, *base.told_unread)]
     return FootprintHeights(top.values_m, np.nan_to_num(base.values_m), (*top.notes, *base.notes), tuple(warnings))
 
 
 @dataclass(frozen=True, eq=False)
 class _Said:
-    """Metres float64 (n,), NaN where no attribute says more than 0; what was read; and texts that are no length."""
+    """Lengths of features.
+
+    Attributes
+    ----------
+    values_m
+        float64 (n,), metres; NaN without a value above 0.
+    notes
+        Attributes that were used, in words.
+    unread
+        Texts that are not lengths, with their attributes and features.
+    """
 
     values_m: np.ndarray
     notes: list[str]
@@ -109,7 +119,7 @@ def _first_said(features: Features, attributes: Sequence[str], what: str) -> _Sa
         new = np.isnan(said.values_m) & (values_m > 0.0)
         said.values_m[new] = values_m[new]
         if new.any():
-            said.notes.append(f"{what}: {new.sum()} of {len(new)} footprints by {_spelling(attribute)}")
+            said.notes.append(f"{what}: {new.sum()} of {len(new)} footprints from {_spelling(attribute)}")
     return said
 
 
@@ -120,7 +130,7 @@ def _spelling(attribute: str) -> str:
 
 
 def _lengths_m(features: Features, attribute: str) -> tuple[np.ndarray, list[int]]:
-    """An attribute as metres float64 (n,), NaN where it says nothing, and the rows whose text is no length."""
+    """Return an attribute as metres, float64 (n,), NaN without a value, and the rows whose text is not a length."""
     values, factor = features.attributes[attribute], _FACTORS.get(_plain(attribute), 1.0)
     if values.dtype.kind in "iufb":
         return values.astype(np.float64) * factor, []
@@ -136,7 +146,7 @@ def _lengths_m(features: Features, attribute: str) -> tuple[np.ndarray, list[int
 
 
 def _matching(names: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
-    """Those of some names that are known ones, in the order of the latter."""
+    """Return the names that are known, in the order of ``known``."""
     order = {_plain(name): n for n, name in reversed(list(enumerate(known)))}
     found = sorted((order[_plain(name)], n) for n, name in enumerate(names) if _plain(name) in order)
     return tuple(names[n] for _, n in found)

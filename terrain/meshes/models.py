@@ -1,7 +1,8 @@
-"""Models from files: OBJ, PLY and glTF, with the colours they bring.
+"""Models from OBJ, PLY and glTF files, with their colours.
 
-Metres. glTF is Y-up by its specification (section 3.4) and is turned to east, north, up, so that its front (+Z) faces south.
-OBJ and PLY state no axis; they are taken as Z-up, as geodata and CAD write them.
+- Units are metres.
+- glTF is Y-up by its specification (section 3.4). It is rotated to east, north, up, with its front (+Z) facing south.
+- OBJ and PLY do not state an up axis. They are read as Z-up, the convention of geodata and CAD.
 """
 
 from __future__ import annotations
@@ -23,35 +24,35 @@ from skugga.terrain.meshes.body import MOST_SMOOTHED, NEUTRAL, Body, srgb_albedo
 Y_UP_SUFFIXES = (".glb", ".gltf")
 
 MODEL_SUFFIXES = (".obj", ".ply", *Y_UP_SUFFIXES)
-"""Files that are models; anything else is asked of GDAL."""
+"""Suffixes of model files. GDAL reads all other files."""
 
 MAX_MODEL_TRIANGLES = 5_000_000
 
 MOST_TEXTURE_PIXELS = 8192 * 8192
 
-ALLOWED = "a model with triangles: .obj, .ply, .glb or .gltf"
+ALLOWED = "Use a model with triangles: .obj, .ply, .glb or .gltf"
 
 
 def is_model(source: str) -> bool:
-    """Whether a file is a model, by its name."""
+    """Return whether a file is a model, by its suffix."""
     return source.lower().endswith(MODEL_SUFFIXES)
 
 
 def read_model(source: str) -> Body:
-    """The model in a file as one body: its lowest point at height 0, its origin otherwise the file's.
+    """Return the model in a file as one body with its lowest point at height 0.
 
-    Raises ``SourceError`` where the file is missing, broken, without triangles, larger than ``MAX_MODEL_TRIANGLES`` or has
-    coordinates that are no numbers.
+    The horizontal origin is the file's. Raises ``SourceError`` if the file is missing or broken, has no triangles, more than
+    ``MAX_MODEL_TRIANGLES``, or coordinates that are not finite.
     """
     check_file(source)
     if not Path(source).exists():
         raise SourceError(source, "no such file", ALLOWED)
     parts = _loaded(source)
     if sum(len(part.faces) for part in parts) > MAX_MODEL_TRIANGLES:
-        raise SourceError(source, f"{sum(len(part.faces) for part in parts)} triangles", f"at most {MAX_MODEL_TRIANGLES}")
+        raise _too_many_triangles(source, sum(len(part.faces) for part in parts))
     for part in parts:
         if not 0 <= part.faces.min() <= part.faces.max() < len(part.vertices):
-            raise SourceError(source, "triangles of vertices that are not there", ALLOWED)
+            raise SourceError(source, "triangles refer to missing vertices", ALLOWED)
         _check_texture(source, part)
     y_up = source.lower().endswith(Y_UP_SUFFIXES)
     vertices, triangles, albedo, count = [], [], [], 0
@@ -63,7 +64,7 @@ def read_model(source: str) -> Body:
         count += len(part.vertices)
     points = np.concatenate(vertices)
     if not np.isfinite(points).all():
-        raise SourceError(source, "vertices that are not finite", "finite coordinates")
+        raise SourceError(source, "vertices that are not finite", "Use finite coordinates")
     if y_up:
         points = points[:, (0, 2, 1)] * (1.0, -1.0, 1.0)
     body = _without_repeats(Body(points, np.concatenate(triangles), np.concatenate(albedo)))
@@ -74,8 +75,9 @@ def read_model(source: str) -> Body:
 
 
 def _without_repeats(body: Body) -> Body:
-    """A body without the triangles that lie on one another in the same sense, but the first of each; looked for where more corners
-    meet in a place than faces of a surface do.
+    """Return a body without repeated triangles: of identical triangles in the same orientation only the first remains.
+
+    Looks for them only if more corners meet at a vertex than on any usual surface.
     """
     places = body.merged_triangles
     if not len(places) or np.bincount(places.ravel()).max() <= MOST_SMOOTHED:
@@ -88,7 +90,7 @@ def _without_repeats(body: Body) -> Body:
 
 
 def _loaded(source: str) -> list[trimesh.Trimesh]:
-    """The parts of the file that have triangles, as trimesh reads them, its remarks left out: what matters comes as an error."""
+    """Return the parts of a file that have triangles, as trimesh reads them. Suppresses trimesh's warnings and log messages."""
     _check_counts(source)
     log = logging.getLogger("trimesh")
     disabled, log.disabled = log.disabled, True
@@ -98,11 +100,11 @@ def _loaded(source: str) -> list[trimesh.Trimesh]:
             scene = trimesh.load_scene(source, process=False, allow_remote=False)
             copies = sum(len(scene.geometry[name].faces) for name in _drawn(scene))
             if copies > MAX_MODEL_TRIANGLES:
-                raise SourceError(source, f"{copies} triangles", f"at most {MAX_MODEL_TRIANGLES}")
+                raise _too_many_triangles(source, copies)
             parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     except SourceError:
         raise
-    except Exception as error:  # a broken file makes trimesh's readers fail in any way there is
+    except Exception as error:  # trimesh's readers raise errors of any kind for broken files
         reason = " ".join(str(error).replace(source, "the file").split()) or type(error).__name__
         raise SourceError(source, f"cannot be read ({reason[:80]})", ALLOWED) from None
     finally:
@@ -113,37 +115,42 @@ def _loaded(source: str) -> list[trimesh.Trimesh]:
 
 
 def _check_counts(source: str) -> None:
-    """Raise ``SourceError`` for a glTF file that states more numbers than a model may have, or fewer than none."""
+    """Raise ``SourceError`` for a glTF file with an accessor count that is negative, or larger than a model may have."""
     if not source.lower().endswith(Y_UP_SUFFIXES):
         return
     try:
         accessors = gltf_parts(Path(source), "accessors")
     except (OSError, ValueError, RecursionError):
-        return  # said where it is loaded
+        return  # loading the file raises the error
     for number, each in enumerate(accessors):
         count = each.get("count")
         if not isinstance(count, int) or not 0 <= count <= 3 * MAX_MODEL_TRIANGLES:
-            raise SourceError(source, f"accessor {number} of {count} numbers", f"0 to {3 * MAX_MODEL_TRIANGLES}")
+            raise SourceError(source, f"accessor {number} of {count} numbers", f"Use 0 to {3 * MAX_MODEL_TRIANGLES} numbers")
+
+
+def _too_many_triangles(source: str, count: int) -> SourceError:
+    return SourceError.over_limit(source, f"{count} triangles", str(MAX_MODEL_TRIANGLES), "Simplify the model")
 
 
 def _drawn(scene: trimesh.Scene) -> list[str]:
-    """The names of the meshes that a scene shows, once for each time."""
+    """Return the names of the meshes of a scene, one for each instance."""
     names = [str(scene.graph[node][1]) for node in scene.graph.nodes_geometry]
     return [name for name in names if isinstance(scene.geometry.get(name), trimesh.Trimesh)]
 
 
 def _check_texture(source: str, part: trimesh.Trimesh) -> None:
-    """Raise ``SourceError`` for a picture that takes gigabytes when it is decoded."""
+    """Raise ``SourceError`` for a texture that would take gigabytes once decoded."""
     material = getattr(part.visual, "material", None)
     image = material.baseColorTexture if isinstance(material, PBRMaterial) else getattr(material, "image", None)
     if image is not None and image.width * image.height > MOST_TEXTURE_PIXELS:
-        raise SourceError(source, f"a texture of {image.width} x {image.height} pixels", f"at most {MOST_TEXTURE_PIXELS} pixels")
+        pixels = f"a texture of {image.width} x {image.height} pixels"
+        raise SourceError.over_limit(source, pixels, f"{MOST_TEXTURE_PIXELS} pixels", "Use a smaller texture")
 
 
 def _albedo(part: trimesh.Trimesh, linear: bool) -> np.ndarray:
-    """Linear albedo (m, 3) of a mesh's triangles.
+    """Return the linear albedo (m, 3) of a mesh's triangles.
 
-    Numbers in glTF files are linear and their textures sRGB (glTF 2.0, section 3.9.2); elsewhere all colours are taken as sRGB.
+    In glTF files colour factors are linear and textures sRGB (glTF 2.0, section 3.9.2). In other files all colours are sRGB.
     """
     decoded = _share if linear else _srgb_bytes
     faces, visual = np.asarray(part.faces), part.visual

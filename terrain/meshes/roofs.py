@@ -1,9 +1,10 @@
-"""Roofs of small houses: two or four slopes over a footprint that is nearly a rectangle.
+"""Roofs of small houses: two or four slopes over a nearly rectangular footprint.
 
-The straight skeleton of a rectangle (O. Aichholzer and others 1995, "A novel type of skeleton for polygons") is one ridge along
-its middle: a *hipped* roof of one slope all round has it, half a width short of either end, and a *pitched* one draws it out to
-the gables. The ridge lies at the building's height, which is what is measured and mapped; the eaves lie lower by the ridge's
-rise.
+- The straight skeleton of a rectangle (O. Aichholzer and others 1995, "A novel type of skeleton for polygons") is one ridge along
+  its middle.
+- A *hipped* roof has the same slope on all sides. Its ridge ends half a width before either end of the rectangle.
+- A *pitched* roof extends the ridge to the gables.
+- The ridge lies at the building's height, since surveys and maps give that height. The eaves lie lower by the rise of the ridge.
 """
 
 from __future__ import annotations
@@ -15,38 +16,48 @@ import numpy as np
 from skugga.terrain.level.parts import RoofForm
 
 SLOPE = 0.7
-"""Rise over run of roofs: 35 degrees, as tiles want it."""
+"""Rise over run of roofs: 35 degrees, usual for tiles."""
 
 MOST_RISE = 0.45
-"""Share of a building's height that its roof takes at the most."""
+"""Maximum share of a building's height that its roof takes."""
 
 MOST_OFF_SQUARE = 0.17
-"""Largest cosine between neighbouring sides (10 degrees off a right angle) of what is nearly a rectangle ..."""
+"""Maximum cosine between neighbouring sides of a nearly rectangular footprint: 10 degrees off a right angle."""
 
 MOST_OFF_EQUAL = 0.12
-"""... and the largest difference between opposite sides, as a share of them."""
+"""Maximum difference between its opposite sides, as a share of them."""
 
 HOUSE_WIDTH_M, HOUSE_LENGTH_M, HOUSE_HEIGHT_M = (2.5, 14.0), 32.0, 13.0
-"""Widths, the largest length and the largest height of what ``auto`` takes for a house."""
+"""Range of widths, maximum length and maximum height of a house for ``auto``."""
 
 APEX_SHARE = 0.49
-"""A hipped roof whose ridge begins beyond this share of the length has an apex instead."""
+"""Share of the length from which on the start of a hipped roof's ridge makes the roof a tent, with an apex."""
 
 PITCHED = np.array([[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5], [1, 2, 5], [3, 0, 4]])
-"""Triangles of two slopes and two ends over corners 0 to 3, and a ridge from 4, between corners 3 and 0, to 5."""
+"""Triangles of two slopes and two ends. Vertices 0 to 3 are the corners; 4 (between corners 3 and 0) and 5 are the ridge."""
 
 TENT = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
-"""Four slopes to an apex, 4."""
+"""Triangles of four slopes to an apex, vertex 4."""
 
 ON_SLOPES = 4
-"""So many triangles of ``PITCHED`` lie on its slopes; the others are gables, or hips."""
+"""Number of triangles of ``PITCHED`` on its slopes. The others are gables or hips."""
 
 
 class Roof(NamedTuple):
-    """A roof over four corners, of which the first is corner ``first`` of the footprint.
+    """A roof over four corners.
 
-    ``weights`` (k, 4) make its one or two ridge points of those corners; ``triangles`` (m, 3) count the corners, then these; the
-    first ``covered`` of them are roof, the others wall; the eaves lie ``rise_m`` below the ridge.
+    Attributes
+    ----------
+    first
+        Corner of the footprint that is the roof's first corner.
+    weights
+        float64 (k, 4): weights of the four corners in each of the one or two points of the ridge.
+    triangles
+        int (m, 3): indices of the corners, followed by the points of the ridge.
+    covered
+        Number of triangles that are roof, first in ``triangles``; the others are wall.
+    rise_m
+        Height of the ridge above the eaves, metres.
     """
 
     first: int
@@ -57,9 +68,10 @@ class Roof(NamedTuple):
 
 
 def roof_over(corners_m: np.ndarray, height_m: float, form: RoofForm) -> Roof | None:
-    """The roof of a form over a footprint's corners (n, 3), counter-clockwise seen from above, of a building of some height.
+    """Return the roof over a footprint, or ``None`` if it is flat.
 
-    ``None`` where it is flat: asked for so, not nearly a rectangle, or, for ``auto``, no house.
+    ``corners_m`` (n, 3) are counter-clockwise seen from above; ``height_m`` is the building's height. The roof is flat if ``form``
+    is ``flat``, the footprint is not nearly rectangular or, for ``auto``, the building is not a house.
     """
     if form == "flat" or len(corners_m) != 4:
         return None

@@ -1,4 +1,4 @@
-"""The meshes of a scene as one set of triangles: what is seen of buildings and models, and what of them casts."""
+"""The meshes of a scene as one set of triangles: the visible and the casting ones."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Solids:
     corner_normals_earth
         float32 (m, 3, 3), unit shading normals at the triangles' corners: smooth over curved parts, sharp at creases.
     body
-        int32 (m,): the body that a triangle belongs to.
+        int32 (m,): index of each triangle's body.
     closed
-        For each body whether its surface is closed (every edge shared by two triangles of opposite direction).
+        For each body whether its surface is closed: two triangles share every edge, in opposite directions.
     caster_vertices_earth_m, caster_triangles
-        What casts: the same arrays, but for bodies that have a stand-in.
+        The casting meshes: ``vertices_earth_m`` and ``triangles``, but with stand-ins in place of their bodies.
     """
 
     vertices_earth_m: np.ndarray

@@ -1,7 +1,7 @@
-"""Meshes that are made, not read: test scenes for shadows, each a list of closed bodies in metres east, north and up.
+"""Generated meshes: test scenes for shadows, each a list of closed bodies in metres east, north and up.
 
-Five scenes follow the descriptions, not the models, of J. Sindholt, *A comparison of Shadow Algorithms* (DTU 2005,
-section 7), with its numbers of triangles; ``tetrahedra`` and ``wood_hill`` belong to a landscape as in the GIS of that time.
+Five scenes follow the descriptions, not the models, of J. Sindholt, *A comparison of Shadow Algorithms* (DTU 2005, section 7), with
+its numbers of triangles. ``tetrahedra`` and ``wood_hill`` belong to a landscape typical of the GIS of that time.
 """
 
 from __future__ import annotations
@@ -25,4 +25,4 @@ GENERATORS: dict[str, Callable[[], list[Body]]] = {
     "tetrahedra": tetrahedra,
     "wood_hill": wood_hill,
 }
-"""Scene name -> its bodies; the same ones at every call. Heights count from the ground it stands on."""
+"""Name of a scene -> function that returns its bodies, the same at every call. Heights are above the ground."""

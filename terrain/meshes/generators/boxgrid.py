@@ -1,4 +1,4 @@
-"""A cube of a thousand hovering boxes: as many silhouettes, and shadows upon shadows, as 12,000 triangles can give."""
+"""A grid of a thousand hovering boxes: many silhouettes and overlapping shadows from 12,000 triangles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LOW_COLOR, HIGH_COLOR = (0.62, 0.33, 0.22), (0.90, 0.80, 0.66)
 
 
 def boxgrid() -> list[Body]:
-    """10 x 10 x 10 boxes, 12 triangles each: terracotta at the bottom to sand at the top."""
+    """Return 10 x 10 x 10 boxes of 12 triangles each, terracotta at the bottom to sand at the top."""
     first = -PITCH_M * (BOXES_PER_SIDE - 1) / 2
     bodies = []
     for layer, row, col in product(range(BOXES_PER_SIDE), repeat=3):

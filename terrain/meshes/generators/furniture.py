@@ -1,4 +1,4 @@
-"""Furniture for the room: each piece a list of closed bodies that stands at the origin, facing south."""
+"""Furniture of the room: each piece is a list of closed bodies at the origin, facing south."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ SPINES = (
 )
 
 TABLE_M, SEAT_M = 0.75, 0.45
-"""Heights of the table's top and of the seats."""
+"""Heights of the table top and of the seats."""
 
 
 def dining_table() -> list[Body]:
-    """A table for six on turned legs."""
+    """Return a table for six on turned legs."""
     leg = [
         (0.0, 0.0),
         (0.022, 0.0),
@@ -46,7 +46,7 @@ def dining_table() -> list[Body]:
 
 
 def chair() -> list[Body]:
-    """A chair with a spindle back, its back to the north."""
+    """Return a chair with a spindle back, its back to the north."""
     seat = transformed(block((0.46, 0.44, 0.045), (5, 5, 1), WALNUT, 5.0), (0, 0, SEAT_M - 0.022))
     feet = [(i * 0.21, j * 0.20, 0.0) for i in (-1, 1) for j in (-1, 1)]
     legs = [tube([foot, (foot[0] * 0.78, foot[1] * 0.78, SEAT_M - 0.02)], [0.013, 0.019], 6, WALNUT) for foot in feet]
@@ -61,7 +61,7 @@ def chair() -> list[Body]:
 
 
 def pendant(cord_m: float) -> list[Body]:
-    """A lamp that hangs: the shade's rim at height 0, its cord's end at ``cord_m``."""
+    """Return a pendant lamp: the shade's rim at height 0, the end of its cord at ``cord_m``."""
     outside = [(0.27, 0.0), (0.262, 0.07), (0.235, 0.14), (0.18, 0.205), (0.1, 0.25), (0.05, 0.27), (0.04, 0.33)]
     inside = [(r - 0.008, up - 0.008) for r, up in outside[1:-1]]
     shade = [(0.0, 0.255), *reversed(inside), (0.262, 0.0), *outside, (0.0, 0.33)]
@@ -77,7 +77,7 @@ def pendant(cord_m: float) -> list[Body]:
 
 
 def bookshelf() -> list[Body]:
-    """Two bays of five boards with books, 2.2 m wide; its back to the north."""
+    """Return a bookshelf of two bays with five boards of books, 2.2 m wide, its back to the north."""
     half, deep, high, thick = 1.1, 0.3, 2.1, 0.03
     bodies = [cuboid((x - thick / 2, 0.0, 0.0), (x + thick / 2, deep, high), OAK) for x in (-half, 0.0, half)]
     bodies.append(cuboid((-half, deep - 0.01, 0.05), (half, deep + 0.01, high), OAK))
@@ -97,7 +97,7 @@ def bookshelf() -> list[Body]:
 
 
 def sofa() -> list[Body]:
-    """A sofa for three, its back to the north."""
+    """Return a sofa for three, its back to the north."""
 
     def cushion(size_m: Vector, at_m: Vector, cells: tuple[int, int, int], color: Colour = LINEN) -> Body:
         return transformed(block(size_m, cells, color, 6.0), at_m)
@@ -117,7 +117,7 @@ def sofa() -> list[Body]:
 
 
 def vase(height_m: float, color: Colour) -> Body:
-    """A hollow vase with a belly, a neck and a lip."""
+    """Return a hollow vase with a belly, a neck and a lip."""
     share = np.linspace(0.0, 1.0, 10)
     radius = height_m * (0.13 + 0.15 * np.sin(np.pi * share**0.8) ** 1.5 * (1 - share) ** 0.3 + 0.06 * share**6)
     outside = list(zip(radius, height_m * share, strict=True))
@@ -126,7 +126,7 @@ def vase(height_m: float, color: Colour) -> Body:
 
 
 def fruit_bowl() -> list[Body]:
-    """A wide bowl with five oranges."""
+    """Return a wide bowl with six oranges."""
     outside = [(0.06, 0.0), (0.065, 0.02), (0.12, 0.045), (0.17, 0.085), (0.19, 0.125)]
     inside = [(r - 0.008, up + 0.004) for r, up in reversed(outside[1:-1])]
     bodies = [lathe([(0.0, 0.0), *outside, (0.183, 0.126), *inside, (0.0, 0.026)], 24, PAINT)]
@@ -145,7 +145,7 @@ def fruit_bowl() -> list[Body]:
 
 
 def potted_plant(leaves: int, height_m: float, seed: int) -> list[Body]:
-    """A plant in a pot: stalks with long bent leaves."""
+    """Return a potted plant: stalks with long bent leaves."""
     pot = [(0.0, 0.0), (0.13, 0.0), (0.17, 0.26), (0.19, 0.27), (0.19, 0.32), (0.165, 0.32), (0.155, 0.27), (0.0, 0.27)]
     rng = np.random.default_rng(seed)
     bodies = [lathe(pot, 24, CLAY)]
@@ -156,7 +156,7 @@ def potted_plant(leaves: int, height_m: float, seed: int) -> list[Body]:
 
 
 def _leaf(reach_m: float, top_m: float) -> Body:
-    """A leaf on its stalk, a flat lens in section, that rises from the origin and bends over to the east."""
+    """Return a leaf on its stalk, lens-shaped in section, that rises from the origin and bends to the east."""
     share = np.linspace(0.0, 1.0, 7)
     spine = np.column_stack([0.02 + reach_m * share**1.7, np.zeros(7), top_m * np.sin(0.62 * np.pi * share) / np.sin(0.5 * np.pi)])
     width = np.maximum(0.007, 0.075 * np.sin(np.pi * np.clip((share - 0.3) / 0.72, 0, 1)))

@@ -1,4 +1,4 @@
-"""Two landmarks of a landscape: a turning figure, and the body of a wood for trees to be planted round and in."""
+"""Two landmarks of a landscape: a figure of two tetrahedra, and the body of a wood."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from skugga.terrain.meshes.generators.shapes import hull
 FIGURE_M = 30.0
 HOVER_M = 3.0
 TIP_OVERLAP_M = 1.5
-"""How far the figure's tips run into each other."""
+"""Overlap of the figure's tips."""
 
 WOOD_M = (170.0, 110.0)
 WOOD_HEIGHT_M, WOOD_FOOTING_M = 13.0, 15.0
-"""Above the ground, and below it, so that no gap opens on a slope."""
+"""Height above the ground, and depth below it, which avoids gaps on slopes."""
 
 WOOD_CORNERS = 11
 
 
 def tetrahedra() -> list[Body]:
-    """Two regular tetrahedra tip to tip, 30 m high, hovering: the upper one is the lower upside down."""
+    """Return two hovering regular tetrahedra tip to tip, 30 m high. The upper one mirrors the lower one."""
     height = FIGURE_M / 2 + TIP_OVERLAP_M / 2
-    radius = height / np.sqrt(2)  # from a face's middle to its corners
+    radius = height / np.sqrt(2)  # from the centre of a face to its corners
     turn = np.radians([90, 210, 330])
     foot = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(3)])
     lower = np.vstack([foot, [0, 0, height]])
@@ -31,7 +31,7 @@ def tetrahedra() -> list[Body]:
 
 
 def wood_hill() -> list[Body]:
-    """A wood as one convex body, 170 m long and 13 m high: eleven uneven sides that lean in, and a vaulted top."""
+    """Return a wood as one convex body, 170 m long and 13 m high: eleven uneven sides that lean in, and a vaulted top."""
     rng = np.random.default_rng(7)
     turn = 2 * np.pi * (np.arange(WOOD_CORNERS) + rng.uniform(-0.2, 0.2, WOOD_CORNERS)) / WOOD_CORNERS
     rim = np.column_stack([np.cos(turn), np.sin(turn)]) * np.array(WOOD_M) / 2

@@ -1,4 +1,4 @@
-"""Five stone circles: rough uprights under lintels, each stone a rounded block that noise has weathered."""
+"""Five stone circles: rough uprights under lintels. Each stone is a rounded block, displaced by noise."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from skugga.terrain.meshes.body import Body, transformed
 from skugga.terrain.meshes.generators.shapes import Vector, cell_box, solid, superellipsoid
 
 RINGS = ((0.0, 0.0, 0.0), (34.0, 15.0, 77.0), (-8.0, 40.0, 140.0), (-37.0, -9.0, 201.0), (10.0, -41.0, 293.0))
-"""East, north, and turn in degrees of each ring."""
+"""East and north in metres, and rotation in degrees, of each ring."""
 
 SLOTS, RADIUS_M = 14, 9.0
 FALLEN, UNROOFED = (4, 10), 7
-"""Uprights of the circle that have come down and lie outside of it, and the place whose lintel lies within."""
+"""Slots of the fallen uprights, which lie outside the circle, and the slot whose lintel lies inside."""
 
 TRILITHONS_DEG, TRILITHON_RADIUS_M, HALF_SPAN_DEG = (45.0, 135.0, 225.0), 4.6, 18.5
 
 UPRIGHT_M, TALL_M, LINTEL_M, LYING_M = (1.15, 2.0, 4.2), (1.2, 1.9, 5.6), (1.1, 4.5, 0.95), (1.7, 4.3, 1.1)
-"""Sizes outwards, along the circle, and up."""
+"""Sizes in the radial, tangential and vertical direction."""
 
 UPRIGHT_CELLS, LINTEL_CELLS = (4, 5, 10), (4, 8, 4)
 
 SEATED_M = 0.3
-"""How deep a lintel sits on its uprights."""
+"""Overlap of a lintel with its uprights."""
 
 SUPERELLIPSOID_EXPONENT = 5.0
 TAPER = 0.18
@@ -32,7 +32,7 @@ STONE_GRAY, MOSS = np.array((0.60, 0.58, 0.55)), np.array((0.48, 0.49, 0.41))
 
 
 def rocks() -> list[Body]:
-    """Five turned copies of one ring of 33 stones: 63,600 triangles."""
+    """Return five rotated copies of one ring of 33 stones: 63,600 triangles."""
     ring = _ring()
     return [transformed(stone, (east, north, 0.0), turn) for east, north, turn in RINGS for stone in ring]
 
@@ -62,24 +62,24 @@ def _ring() -> list[Body]:
 
 
 def _on_circle(stone: Body, radius_m: float, at_deg: float) -> Body:
-    """A stone on a circle, its first axis outwards; the angle is counter-clockwise from east."""
+    """Place a stone on a circle with its first axis outwards. The angle is counter-clockwise from east."""
     return transformed(transformed(stone, (radius_m, 0.0, 0.0)), turn_deg=at_deg)
 
 
 def _standing(size_m: Vector, cells: tuple[int, int, int], seed: int) -> Body:
-    """A stone that stands on the ground: its foot is flat, above it it tapers, and its head is round."""
+    """Return an upright stone on the ground, with a flat foot, tapering sides and a round head."""
     cube, triangles = cell_box(cells)
     high = (cube[:, 2:] + 1) / 2
     worn = superellipsoid(np.column_stack([cube[:, :2], np.maximum(cube[:, 2], 0)]), SUPERELLIPSOID_EXPONENT)
     shape = np.column_stack([worn[:, :2] * (1 - TAPER * high), np.where(cube[:, 2] > 0, worn[:, 2], cube[:, 2])])
     points = shape * np.asarray(size_m) / 2 + [0, 0, size_m[2] / 2]
     wear = _weathering(points, worn, seed)
-    wear[:, 2] *= 0.4 * high[:, 0]  # heads stay level enough for a lintel to sit on
+    wear[:, 2] *= 0.4 * high[:, 0]  # heads stay nearly level, so that a lintel fits
     return solid(points + wear, triangles, _stone_color(seed))
 
 
 def _lintel(upright_m: float, seed: int) -> Body:
-    """A stone that lies across two uprights of a height."""
+    """Return a stone that lies across two uprights of height ``upright_m``."""
     cube, triangles = cell_box(LINTEL_CELLS)
     shape = superellipsoid(cube, SUPERELLIPSOID_EXPONENT)
     points = shape * np.asarray(LINTEL_M) / 2 + [0, 0, upright_m + LINTEL_M[2] / 2 - SEATED_M]
@@ -87,7 +87,7 @@ def _lintel(upright_m: float, seed: int) -> Body:
 
 
 def _weathering(points_m: np.ndarray, outward: np.ndarray, seed: int) -> np.ndarray:
-    """Displacements (n, 3) along ``outward`` by a sum of plane waves of 0.9 to 5 m, the longer the stronger."""
+    """Return displacements (n, 3) along ``outward``: a sum of plane waves of 0.9 to 5 m, longer ones with larger amplitudes."""
     rng = np.random.default_rng(seed)
     direction = rng.normal(size=(WAVES, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""A living room half under a lattice: light falls in through slats, a window and an open front."""
+"""A living room half under a lattice. Light enters through slats, a window and an open front."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ LATTICE_NORTH_M = 1.5
 """North of this line the ceiling is solid."""
 
 WINDOW_OPENING_M, DOOR_M = (1.7, 0.8, 4.1, 2.4), (1.0, 0.0, 1.9, 2.15)
-"""From, sill, to and head: the window counts from the west wall's south end, the door from the north wall's west end."""
+"""Start, sill, end and head, metres. The window counts from the south end of the west wall, the door from the west end of the
+north wall."""
 
 BEAMS_M = (-1.9, 0.2, 2.3)
 TABLE_AT_M = (0.2, -0.75)
@@ -25,14 +26,14 @@ PLASTER, RUG = (0.88, 0.85, 0.79), (0.60, 0.38, 0.32)
 
 
 def room() -> list[Body]:
-    """Walls, lattice and furniture: some 19,000 triangles."""
+    """Return walls, lattice and furniture: some 19,000 triangles."""
     return [*_walls(), *_ceiling(), *_window(), *_curtains(), *_furniture()]
 
 
 def _walls() -> list[Body]:
-    """West with a window, north with a door, east closed, south open between slender posts."""
+    """Return the walls: west with a window, north with a door, east closed, south open between slender posts."""
     e, n, t = HALF_EAST_M, HALF_NORTH_M, WALL_THICKNESS_M
-    past = t + 0.02  # the side walls end a little beyond the north wall, which runs into them
+    past = t + 0.02  # the side walls overlap the north wall and end a little beyond it
     west = _pierced(2 * n + past, WINDOW_OPENING_M)
     north = _pierced(2 * e + 0.2, DOOR_M)
     posts = [cuboid((x - 0.06, -n + 0.02, 0.0), (x + 0.06, -n + 0.14, 2.75), OAK) for x in (-1.35, 1.35)]
@@ -45,12 +46,12 @@ def _walls() -> list[Body]:
 
 
 def _pierced(length_m: float, opening: tuple[float, float, float, float]) -> shapely.Polygon:
-    """A wall's elevation with a rectangular opening (from, sill, to, head)."""
+    """Return a wall's elevation with a rectangular opening (start, sill, end, head)."""
     return shapely.difference(shapely.box(0.0, 0.0, length_m, HIGH_M), shapely.box(*opening))
 
 
 def _ceiling() -> list[Body]:
-    """A slab in the north; beams, slats across them and laths across these in the south."""
+    """Return a slab in the north, and beams, crossing slats and crossing laths in the south."""
     e, n, edge = HALF_EAST_M, HALF_NORTH_M, LATTICE_NORTH_M
     slab = cuboid((-e - 0.35, edge, HIGH_M - 0.02), (e + 0.35, n + 0.4, HIGH_M + 0.2), PLASTER)
     front = cuboid((-e - 0.1, -n, HIGH_M - 0.3), (e + 0.1, -n + 0.16, HIGH_M - 0.08), OAK)
@@ -61,7 +62,7 @@ def _ceiling() -> list[Body]:
 
 
 def _window() -> list[Body]:
-    """Frame and glazing bars of the west window, and its sill."""
+    """Return frame, glazing bars and sill of the west window."""
     first, low, last, high = WINDOW_OPENING_M
     south, north, east = first - HALF_NORTH_M, last - HALF_NORTH_M, -HALF_EAST_M - 0.1
     bars = [
@@ -76,7 +77,7 @@ def _window() -> list[Body]:
 
 
 def _curtains() -> list[Body]:
-    """A curtain in folds on either side of the window, on a rod."""
+    """Return a folded curtain on either side of the window, and its rod."""
     y = np.linspace(0.0, 0.55, 36)
     fold = 0.04 * np.sin(y * 2 * np.pi / 0.11)
     section = [(-0.006, 0.06), (-0.006, 2.62), (0.006, 2.62), (0.006, 0.06)]
@@ -88,7 +89,7 @@ def _curtains() -> list[Body]:
 
 
 def _furniture() -> list[Body]:
-    """The dining place on its rug, the sofa, the shelf, a bench with vases, pictures and plants."""
+    """Return the dining table on its rug, the sofa, the shelf, a bench with vases, pictures and plants."""
     x, y = TABLE_AT_M
     pile = 0.012
     chairs = [(-0.5, 0.62, 4), (0.52, 0.66, -7), (-0.48, -0.64, 176), (0.5, -0.72, 190), (1.32, 0.02, -92), (-1.36, -0.04, 81)]

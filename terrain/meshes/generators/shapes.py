@@ -1,4 +1,4 @@
-"""Closed shapes that the test scenes are put together from. Metres; every triangle is counter-clockwise from outside."""
+"""Closed shapes for the test scenes, in metres. Every triangle is counter-clockwise from outside."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ Colour = tuple[float, float, float]
 
 
 def solid(vertices_m: np.ndarray, triangles: np.ndarray, color: Colour) -> Body:
-    """A body of one sRGB colour from (n, 3) vertices and (m, 3) triangles."""
+    """Return a body of one sRGB colour from vertices (n, 3) and triangles (m, 3)."""
     return Body(vertices_m, triangles, srgb_albedo(color))
 
 
 def cuboid(low: Vector, high: Vector, color: Colour) -> Body:
-    """A box from its lowest to its highest corner: 12 triangles."""
+    """Return a box between its lowest and its highest corner: 12 triangles."""
     return box(np.subtract(high, low), np.add(low, high) / 2, srgb_albedo(color))
 
 
 def hull(points_m: list[Vector] | np.ndarray, color: Colour) -> Body:
-    """The convex hull of n points that are all its corners: 2 n - 4 triangles."""
+    """Return the convex hull of n points that are all corners of it: 2 n - 4 triangles."""
     from scipy.spatial import ConvexHull
 
     points = np.asarray(points_m, np.float64)
@@ -37,7 +37,7 @@ def hull(points_m: list[Vector] | np.ndarray, color: Colour) -> Body:
 
 
 def gable(low: tuple[float, float], high: tuple[float, float], eaves: float, ridge: float, color: Colour) -> Body:
-    """A roof over a rectangle, its ridge along the longer side: a prism of 8 triangles."""
+    """Return a roof over a rectangle with its ridge along the longer side: a prism of 8 triangles."""
     (x0, y0), (x1, y1) = low, high
     corners = [(x, y, eaves) for x in (x0, x1) for y in (y0, y1)]
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
@@ -46,10 +46,9 @@ def gable(low: tuple[float, float], high: tuple[float, float], eaves: float, rid
 
 
 def tube(path_m: list[Vector] | np.ndarray, radius_m: float | list[float], sides: int, color: Colour) -> Body:
-    """A round bar along an open path of k points, its ends flat: 2 k ``sides`` triangles.
+    """Return a round bar with flat ends along an open path of k points: 2 k ``sides`` triangles.
 
-    ``radius_m`` is one for all points or one for each. The cross-sections are turned as little as possible from one to
-    the next.
+    ``radius_m`` is one value, or one for each point. Successive cross-sections are rotated as little as possible.
     """
     path = np.asarray(path_m, np.float64)
     along = np.gradient(path, axis=0)
@@ -67,9 +66,9 @@ def tube(path_m: list[Vector] | np.ndarray, radius_m: float | list[float], sides
 
 
 def lathe(profile_m: list[tuple[float, float]] | np.ndarray, sides: int, color: Colour, centre: Vector = (0, 0, 0)) -> Body:
-    """A solid of revolution about the up axis through ``centre``: 2 (k - 2) ``sides`` triangles for a profile of k points.
+    """Return a solid of revolution about the up axis through ``centre``: 2 (k - 2) ``sides`` triangles for k points.
 
-    The profile (radius, height) starts and ends on the axis and has the outside at its right hand.
+    The profile of k points (radius, height) starts and ends on the axis, with the outside on its right.
     """
     profile = np.asarray(profile_m, np.float64)
     ends = np.array([[0, 0, profile[0, 1]], [0, 0, profile[-1, 1]]])
@@ -78,8 +77,10 @@ def lathe(profile_m: list[tuple[float, float]] | np.ndarray, sides: int, color: 
 
 
 def ring(section_m: list[tuple[float, float]] | np.ndarray, sides: int, color: Colour) -> Body:
-    """A ring about the up axis: 2 k ``sides`` triangles for a section (radius, height) of k points,
-    counter-clockwise and off the axis."""
+    """Return a ring about the up axis: 2 k ``sides`` triangles for k points.
+
+    The section of k points (radius, height) is counter-clockwise and does not touch the axis.
+    """
     loops = _turned(np.asarray(section_m, np.float64), sides)
     k = len(loops)
     here, there = np.arange(k), np.roll(np.arange(k), -1)
@@ -87,39 +88,42 @@ def ring(section_m: list[tuple[float, float]] | np.ndarray, sides: int, color: C
 
 
 def plate(outline: shapely.Polygon, low: float, high: float, color: Colour) -> Body:
-    """A flat slab over an outline (east, north) that may have holes, from one height to another."""
+    """Return a flat slab between two heights over an outline (east, north), which may have holes."""
     slab = trimesh.creation.extrude_polygon(outline, high - low, engine="earcut")
     return solid(slab.vertices + [0, 0, low], slab.faces, color)
 
 
 def wall(elevation: shapely.Polygon, start: tuple[float, float], end: tuple[float, float], thick: float, color: Colour) -> Body:
-    """An upright slab: its elevation (metres along from ``start``, metres up), holes and all, to the left of start -> end."""
+    """Return an upright slab to the left of the line from ``start`` to ``end``.
+
+    ``elevation`` is its shape (metres from ``start``, metres up), which may have holes.
+    """
     slab = plate(elevation, 0.0, thick, color)
     along = np.subtract(end, start) / np.linalg.norm(np.subtract(end, start))
-    # along, up, and outwards of the elevation's face: right-handed, so that triangles stay counter-clockwise
+    # axes along the wall, up, and outwards from its face: right-handed, so triangles stay counter-clockwise
     axes = np.array([[along[0], along[1], 0], [0, 0, 1], [along[1], -along[0], 0]])
     left = np.array([-along[1], along[0], 0]) * thick
     return solid(slab.vertices_m @ axes + [start[0], start[1], 0] + left, slab.triangles, color)
 
 
 def block(size_m: Vector, cells: tuple[int, int, int], color: Colour, power: float = 8.0) -> Body:
-    """A rounded box with its middle at the origin: 4 (a b + b c + c a) triangles for a x b x c ``cells``.
+    """Return a rounded box centred on the origin: 4 (a b + b c + c a) triangles for a x b x c ``cells``.
 
-    A superellipsoid of exponent ``power``: the higher, the sharper the edges.
+    It is a superellipsoid of exponent ``power``; higher exponents make sharper edges.
     """
     points, triangles = cell_box(cells)
     return solid(superellipsoid(points, power) * np.asarray(size_m) / 2, triangles, color)
 
 
 def superellipsoid(points: np.ndarray, power: float) -> np.ndarray:
-    """Points (n, 3) of cubes about the origin moved onto superellipsoids of an exponent, towards the middle."""
+    """Project points (n, 3) of cubes centred on the origin onto superellipsoids of exponent ``power``, towards the centre."""
     longest = np.abs(points).max(axis=1, keepdims=True)
     length = (np.abs(points) ** power).sum(axis=1, keepdims=True) ** (1 / power)
     return points * longest / np.maximum(length, 1e-12)
 
 
 def cell_box(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """The surface of the cube [-1, 1]^3 cut into cells: vertices (n, 3), each once, and triangles (m, 3)."""
+    """Return the surface of the cube [-1, 1]^3 divided into cells: unique vertices (n, 3) and triangles (m, 3)."""
     steps = np.asarray(cells)
     quads = []
     for axis in range(3):
@@ -138,25 +142,25 @@ def cell_box(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def loft(loops_m: np.ndarray, color: Colour) -> Body:
-    """A skin over closed loops (k, sides, 3), each counter-clockwise seen from the next: 2 k ``sides`` triangles."""
+    """Return a skin over closed loops (k, sides, 3), counter-clockwise seen from the next loop: 2 k ``sides`` triangles."""
     loops = np.asarray(loops_m, np.float64)
     return solid(*_lofted(loops, loops[0].mean(axis=0), loops[-1].mean(axis=0)), color)
 
 
 def arc(centre: Vector, radius: float, first_deg: float, last_deg: float, points: int) -> np.ndarray:
-    """Points (n, 3) on a level circle, counter-clockwise from east."""
+    """Return points (n, 3) on a horizontal circle, counter-clockwise from east."""
     turn = np.radians(np.linspace(first_deg, last_deg, points))
     return np.asarray(centre) + radius * np.stack([np.cos(turn), np.sin(turn), np.zeros(points)], axis=1)
 
 
 def circle(centre: tuple[float, float], radius: float, points: int) -> list[tuple[float, float]]:
-    """A closed section (radius, height) for ``ring``, counter-clockwise."""
+    """Return a circular, counter-clockwise section (radius, height) for ``ring``."""
     turn = 2 * np.pi * np.arange(points) / points
     return [(centre[0] + radius * np.cos(t), centre[1] + radius * np.sin(t)) for t in turn]
 
 
 def _turned(profile: np.ndarray, sides: int) -> np.ndarray:
-    """Loops (k, sides, 3) of profile points (k, 2) about the up axis."""
+    """Return loops (k, sides, 3): profile points (k, 2) rotated about the up axis."""
     turn = 2 * np.pi * np.arange(sides) / sides
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     flat = profile[:, None, :1] * around
@@ -164,7 +168,7 @@ def _turned(profile: np.ndarray, sides: int) -> np.ndarray:
 
 
 def _lofted(loops: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of loops (k, sides, 3), one after the other, closed by fans about a first and a last point."""
+    """Return vertices and triangles of a skin over loops (k, sides, 3), closed by fans around a first and a last point."""
     k, sides = loops.shape[:2]
     j = np.arange(sides)
     on = (j + 1) % sides
@@ -178,7 +182,7 @@ def _lofted(loops: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.
 
 
 def _walls(here: np.ndarray, there: np.ndarray, sides: int) -> np.ndarray:
-    """Triangles between loops ``here`` and ``there``, two per side."""
+    """Return the triangles between loops ``here`` and ``there``, two per side."""
     j = np.arange(sides)
     on = (j + 1) % sides
     a, b = here[:, None] * sides + j, here[:, None] * sides + on

@@ -1,4 +1,4 @@
-"""A village street of 400 triangles: gabled houses on either side, a church at the end."""
+"""A village street of 400 triangles, with gabled houses on either side and a church at the end."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ TILES, SLATE, BRICK = (0.60, 0.30, 0.22), (0.36, 0.38, 0.42), (0.52, 0.30, 0.24)
 STONE, WOOD, HEDGE, IRON = (0.70, 0.68, 0.63), (0.46, 0.35, 0.24), (0.28, 0.38, 0.20), (0.25, 0.26, 0.27)
 
 EAVES_M = 0.45
-"""How far roofs reach beyond walls."""
+"""Overhang of the roofs beyond the walls."""
 
 FRONT_M = 5.5
-"""From the middle of the street to the houses."""
+"""Distance from the middle of the street to the houses."""
 
-# Side of the street (1: east), place along it, set back, width along the street, depth, eaves, ridge, a chimney or none.
+# Side of the street (1: east), position along it, setback, width along the street, depth, heights of eaves and ridge, chimney.
 HOUSES = (
     (-1, -34.0, 0.0, 10.0, 8.0, 5.6, 9.4, True),
     (-1, -21.5, 1.5, 8.0, 9.5, 3.4, 7.9, True),
@@ -31,7 +31,7 @@ HOUSES = (
 
 
 def street() -> list[Body]:
-    """Ten houses, seven chimneys, a church and things that stand about: 400 triangles."""
+    """Return ten houses, seven chimneys, a church and street furniture: 400 triangles."""
     bodies = []
     for number, (side, along, back, width, depth, eaves, ridge, chimney) in enumerate(HOUSES):
         near = FRONT_M + back
@@ -47,7 +47,7 @@ def street() -> list[Body]:
 def _house(
     low: tuple[float, float], high: tuple[float, float], eaves: float, ridge: float, walls: Colour, roof: Colour
 ) -> list[Body]:
-    """Walls and, over them, a gabled roof whose eaves stand out: 20 triangles."""
+    """Return walls under a gabled roof with overhanging eaves: 20 triangles."""
     out = EAVES_M
     return [
         cuboid((*low, 0.0), (*high, eaves + 0.1), walls),
@@ -56,14 +56,14 @@ def _house(
 
 
 def _church() -> list[Body]:
-    """Nave, tower and spire across the street's end: 38 triangles."""
+    """Return nave, tower and spire across the end of the street: 38 triangles."""
     nave = _house((-5.0, 42.0), (5.0, 60.0), 7.0, 13.0, PLASTER[4], SLATE)
     tower = cuboid((-2.6, 37.6, 0.0), (2.6, 42.8, 16.0), PLASTER[4])
     return [*nave, tower, _pyramid((0.0, 40.2), 3.0, 15.8, 27.0, SLATE)]
 
 
 def _furniture() -> list[Body]:
-    """A well house, lamps, a hedge and a bench: 78 triangles."""
+    """Return a well house, lamps, a hedge and a bench: 78 triangles."""
     lamp = cuboid((-0.09, -0.09, 0.0), (0.09, 0.09, 4.6), IRON)
     bench = cuboid((-0.3, -1.1, 0.0), (0.3, 1.1, 0.5), WOOD)
     return [

@@ -1,4 +1,4 @@
-"""A water tower on six braced legs: a large round shadow beside very fine ones."""
+"""A water tower on six braced legs, with one large round shadow and many fine ones."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ LEGS = 6
 FOOT_RADIUS_M, HEAD_RADIUS_M = 8.0, 5.75
 TANK_RADIUS_M = 6.0
 GALLERY_M = 24.0
-"""Height of the gallery, where the tank's wall begins and the legs end."""
+"""Height of the gallery, the lower end of the tank's wall and the upper end of the legs."""
 
 TIERS_M = (0.9, 8.6, 16.3, 23.2)
-"""Heights of the joints of the braces: the lowest on the footings."""
+"""Heights of the joints of the braces, the lowest on the footings."""
 
 RUNG_M = 0.36
 CAGE_FROM_M, CAGE_RADIUS_M = 2.6, 0.4
@@ -23,12 +23,12 @@ STEEL, PAINT, ROOF, CONCRETE = (0.42, 0.47, 0.49), (0.80, 0.83, 0.82), (0.55, 0.
 
 
 def water_tower() -> list[Body]:
-    """Tank, gallery, legs, braces and ladder, 37 m high: some 12,500 triangles."""
+    """Return tank, gallery, legs, braces and ladder, 37 m high: some 12,500 triangles."""
     return [*_tank(), *_gallery(), *_legs(), *_braces(), *_ladder()]
 
 
 def _tank() -> list[Body]:
-    """A bowl and a wall under a conical roof; the riser pipe comes up in the middle."""
+    """Return a bowl and a wall under a conical roof, and the riser pipe in the middle."""
     fall = np.radians(np.linspace(0, 90, 13))
     bowl = [(TANK_RADIUS_M * np.sin(t), GALLERY_M - 4.2 * np.cos(t)) for t in fall]
     wall_top = GALLERY_M + 6.4
@@ -51,7 +51,7 @@ def _tank() -> list[Body]:
 
 
 def _gallery() -> list[Body]:
-    """A walkway round the tank with a railing of three bars."""
+    """Return a walkway around the tank with a railing of three bars."""
     inner, outer = TANK_RADIUS_M - 0.1, TANK_RADIUS_M + 1.1
     floor = [(inner, GALLERY_M - 0.07), (outer, GALLERY_M - 0.07), (outer, GALLERY_M + 0.07), (inner, GALLERY_M + 0.07)]
     bars = [ring(circle((outer - 0.08, GALLERY_M + up), 0.03, 6), 64, STEEL) for up in (0.42, 0.77, 1.12)]
@@ -63,7 +63,7 @@ def _gallery() -> list[Body]:
 
 
 def _legs() -> list[Body]:
-    """Legs that lean in, each on a footing and against the tank's wall."""
+    """Return the inclined legs, each between a footing and the tank's wall."""
     foot = np.array([(i * s, j * s, up) for s, up in ((0.95, 0.0), (0.6, 0.9)) for i in (-1, 1) for j in (-1, 1)])
     bodies = []
     for turn in _turns():
@@ -73,7 +73,7 @@ def _legs() -> list[Body]:
 
 
 def _braces() -> list[Body]:
-    """Struts round each tier, and two rods crossed in each panel."""
+    """Return the struts around each tier, and two crossed rods in each panel."""
     bodies = []
     for turn, on in zip(_turns(), np.roll(_turns(), -1), strict=True):
         bodies += [tube([_on_leg(up, turn), _on_leg(up, on)], 0.13, 8, STEEL) for up in TIERS_M[1:]]
@@ -83,7 +83,7 @@ def _braces() -> list[Body]:
 
 
 def _ladder() -> list[Body]:
-    """A caged ladder up to the gallery, stayed to the struts, and a plain one on to the roof."""
+    """Return a caged ladder to the gallery, tied to the struts, and a plain ladder from there to the roof."""
     out, half, gallery = TANK_RADIUS_M + 1.35, 0.24, GALLERY_M + 1.1
     eaves, roof = TANK_RADIUS_M + 0.6, GALLERY_M + 6.9
     bodies = []
@@ -114,6 +114,6 @@ def _at(radius_m: float, turn_deg: float) -> tuple[float, float]:
 
 
 def _on_leg(up_m: float, turn_deg: float) -> tuple[float, float, float]:
-    """The point of a leg's axis at a height."""
+    """Return the point of a leg's axis at a height."""
     radius = FOOT_RADIUS_M + (HEAD_RADIUS_M - FOOT_RADIUS_M) * up_m / GALLERY_M
     return (*_at(radius, turn_deg), up_m)
