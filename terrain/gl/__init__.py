@@ -1,1 +1,1 @@
-"""OpenGL: the only folder with raw calls. The device and its state, stencil passes, depth targets, programs on record."""
+"""OpenGL: the device and its state, stencil passes, depth targets, records of draw calls. Only this folder makes raw calls."""

@@ -1,4 +1,4 @@
-"""The depth targets of a device: framebuffers for reuse, and some whose content is kept until it is asked for again."""
+"""Pool of a device's depth-only framebuffers, which also caches the depth maps drawn in them."""
 
 from __future__ import annotations
 
@@ -10,42 +10,56 @@ from moderngl import Framebuffer
 from skugga.terrain.cache import register_cache
 
 MAX_TARGETS, MAX_TARGET_BYTES = 16, 2**28
-"""So many are held, of so many bytes together: the two used last at any size, those used before them while there is room."""
+"""Limits of the pool: framebuffers, and bytes of all together. The two most recently used ones stay at any size."""
 
 
 @dataclass(eq=False)
 class _Target:
+    """A framebuffer of the pool.
+
+    Attributes
+    ----------
+    framebuffer
+        The depth-only framebuffer.
+    shape
+        Width and height in texels, and bits of a depth.
+    content
+        Cache key of the depths drawn in it; ``None`` if they are not cached.
+    """
+
     framebuffer: Framebuffer
     shape: tuple[int, int, int]
     content: Hashable | None = None
 
 
 class DepthTargets:
-    """Depth-only framebuffers by shape (width, height, bits) or by what is drawn in them, the ones used last."""
+    """LRU pool of depth-only framebuffers, looked up by shape (width, height, bits) or by cached content."""
 
     def __init__(self, make: Callable[[int, int, int], Framebuffer], release: Callable[[Framebuffer], None]) -> None:
         self._make, self._release = make, release
         self.name, self.lifetime, self.limit_bytes = "skugga.terrain.gl.depth_targets", "light", MAX_TARGET_BYTES
-        self._held: list[_Target] = []  # the one used last at the end
+        self._held: list[_Target] = []  # least recently used first
         register_cache(self)
 
     def __len__(self) -> int:
-        """How many contents are kept."""
+        """Return the number of cached contents."""
         return sum(each.content is not None for each in self._held)
 
     @property
     def count(self) -> int:
-        """How many are held, whether or not their content is."""
+        """Number of framebuffers in the pool, with or without cached content."""
         return len(self._held)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the texels of all that are held."""
+        """Bytes of the texels of all framebuffers in the pool."""
         return sum(depth_bytes(*each.shape) for each in self._held)
 
     def take(self, width: int, height: int, bits: int) -> Framebuffer:
-        """One to draw in, whose content lasts until the next one of its shape is taken, or, if it is kept, while there is room: it
-        is there for sure until the one after the next is taken.
+        """Return a framebuffer to draw in.
+
+        Its content lasts until the next call for the same shape. Content that ``keep`` caches survives at least the next call of
+        any shape, and longer while the pool has room.
         """
         shape = width, height, bits
         alike = [each for each in self._held if each.shape == shape]
@@ -53,7 +67,8 @@ class DepthTargets:
         if found is None:
             self._make_room(shape, [each for each in self._held[:-1] if each.content is None])
             if not self._has_room(shape):
-                # The oldest of the shape, before older ones of others: to make one costs more than to draw again what was in it.
+                # Prefer the least recently used target of this shape to older ones of other shapes: allocating a framebuffer
+                # costs more than redrawing its content.
                 found = next((each for each in alike if each is not self._held[-1]), None)
         if found is None:
             self._make_room(shape, self._held[:-1])
@@ -64,13 +79,13 @@ class DepthTargets:
         return framebuffer
 
     def keep(self, framebuffer: Framebuffer, content: Hashable) -> None:
-        """Say what is drawn in one, so that it can be found again while there is room."""
+        """Cache the content of a framebuffer under a key, while the pool has room."""
         for each in self._held:
             if each.framebuffer is framebuffer:
                 each.content = content
 
     def kept(self, content: Hashable) -> Framebuffer | None:
-        """The one with a content, if it is still there."""
+        """Return the framebuffer with a cached content and mark it as used, or ``None`` if it was evicted."""
         found = next((each for each in self._held if each.content is not None and each.content == content), None)
         if found is None:
             return None
@@ -79,16 +94,16 @@ class DepthTargets:
         return found.framebuffer
 
     def clear(self) -> None:
-        """Forget what is drawn in them, so that everything is drawn anew; the framebuffers stay for reuse."""
+        """Invalidate all cached contents. The framebuffers stay for reuse."""
         for each in self._held:
             each.content = None
 
     def clear_of(self, owner: object) -> None:
-        """Forget all, whatever it was drawn for: that costs other scenes no more than one drawing."""
+        """Invalidate all cached contents, of any owner. Other scenes redraw theirs once."""
         self.clear()
 
     def _make_room(self, shape: tuple[int, int, int], spare: list[_Target]) -> None:
-        """Let go of targets, in their order, until there is room for another one."""
+        """Evict the given targets, in their order, until another one of a shape fits."""
         for each in spare:
             if self._has_room(shape):
                 return
@@ -100,5 +115,5 @@ class DepthTargets:
 
 
 def depth_bytes(width: int, height: int, bits: int) -> int:
-    """Bytes of a depth target's texels."""
+    """Return the bytes of a depth target's texels."""
     return width * height * (2 if bits == 16 else 4)

@@ -1,9 +1,11 @@
-"""The module that owns OpenGL: context, state, raw calls and read-back.
+"""The OpenGL device of a process: context, state, raw calls and read-back.
 
-A process has at most one context, made by the first call of ``device()`` and current for the process's life in the
-thread that made it: moderngl holds the GIL in every call, switches no contexts, and a read with the wrong context
-returns other memory. So every read goes through ``Device.read``, which makes sure of the context and reads into zeroed
-memory. What moderngl has no call for (16-bit and float depth storage, depth clamp) is here and in ``skugga.terrain.gl.stencil``.
+- A process has at most one context. The first call of ``device()`` creates it, and it stays current in that thread for the life of
+  the process. moderngl holds the GIL in every call and never switches contexts, so further contexts or threads gain nothing.
+- A read with the wrong context current returns stale process memory. So every read goes through ``Device.read``, which checks the
+  context and reads into zeroed memory.
+- moderngl lacks calls for 16-bit and float depth storage and for depth clamp. These raw calls are here and in
+  ``skugga.terrain.gl.stencil``.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ import numpy as np
 
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 
-import moderngl  # noqa: E402  (PyOpenGL and moderngl pick their platform when imported)
+import moderngl  # noqa: E402  (PyOpenGL and moderngl choose their platform on import)
 
 from skugga.terrain.cache import KIB, MIB, Cache, Missing  # noqa: E402
 from skugga.terrain.errors import GraphicsError, NoOpenGLError  # noqa: E402
@@ -35,25 +37,25 @@ _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 _TEXTURE_2D_ARRAY = 0x8C1A
 _TEXTURE_2D, _DEPTH_COMPONENT, _FLOAT = 0x0DE1, 0x1902, 0x1406
 VISIBLE_TARGETS = 2
-"""Framebuffers of what is seen that are kept: of a view's pixels, and of the finer ones that its samples are."""
+"""Visibility framebuffers in the pool: one for a view's pixels, and one for its supersamples."""
 
 PROGRAM_BYTES = 64 * KIB
-"""About what a compiled program takes."""
+"""Estimated size of a compiled program."""
 
 
 class Device:
-    """The process's OpenGL context and what lives as long as it."""
+    """The OpenGL context of the process, with the objects that live as long as it."""
 
     def __init__(self) -> None:
         self.ctx, self.egl_device = open_context()
-        self.ctx.gc_mode = "auto"  # one thread owns the context, so the collector may free its objects
+        self.ctx.gc_mode = "auto"  # safe: one thread owns the context and all objects
         self._egl = ctypes.CDLL(LIBEGL)
         self._egl.eglGetCurrentContext.restype = ctypes.c_void_p
         self._context, self._thread = self._egl.eglGetCurrentContext(), threading.get_ident()
         info = self.ctx.info
         self.renderer, self.version = info["GL_RENDERER"], info["GL_VERSION"]
         self.max_size = int(info["GL_MAX_TEXTURE_SIZE"])
-        _ = self.ctx.error  # moderngl has asked for limits of which a driver may not know all
+        _ = self.ctx.error  # clear errors: moderngl queries limits that a driver may not know
         self._programs: Cache[moderngl.Program] = Cache(
             "skugga.terrain.gl.device.programs", "process", 64 * MIB, lambda program: PROGRAM_BYTES, moderngl.Program.release
         )
@@ -61,9 +63,9 @@ class Device:
             self._made_depth_target, lambda target: self._release_target(target, target.depth_attachment)
         )
         self._float_target: moderngl.Framebuffer | None = None
-        self._visible_targets: list[moderngl.Framebuffer] = []  # the one used last at the end
+        self._visible_targets: list[moderngl.Framebuffer] = []  # least recently used first
         self.stencil = Stencil(self.ctx, self.require_current, self.check, lambda: self._parking.use())
-        self._lent: dict[np.dtype[Any], np.ndarray] = {}  # of each kind of texel
+        self._lent: dict[np.dtype[Any], np.ndarray] = {}  # read-back memory by texel dtype
         self._layers: Cache[moderngl.TextureArray] = Cache(
             "skugga.terrain.gl.device.layers", "process", 256 * MIB, _layers_bytes, moderngl.TextureArray.release
         )
@@ -71,21 +73,25 @@ class Device:
         self._quad = self.ctx.buffer(np.array([-1, -1, 3, -1, -1, 3], "f4"))
 
     def require_current(self) -> None:
-        """Raise ``GraphicsError`` unless this thread has the context current."""
+        """Raise ``GraphicsError`` unless the context is current in this thread."""
         if threading.get_ident() != self._thread or self._egl.eglGetCurrentContext() != self._context:
-            raise GraphicsError("OpenGL was called without its context: one process and one thread own it")
+            raise GraphicsError(
+                "OpenGL: the context is not current in this thread. Use the device only in the process and thread that created it."
+            )
 
     def check(self, where: str) -> None:
         """Raise ``GraphicsError`` if a call since the last check left an error behind."""
         error = self.ctx.error
         if error != "GL_NO_ERROR":
-            raise GraphicsError(f"OpenGL error {error} in {where}")
+            raise GraphicsError(f"OpenGL: error {error} in {where}.")
 
     def program(self, vertex: str, fragment: str, constants: dict[str, bool | int] | None = None) -> moderngl.Program:
-        """A program of two shader texts, compiled once.
+        """Return the program of two shader sources, compiled once and cached.
 
-        ``constants`` are uniforms of the fragment shader whose values are compiled in: a software rasteriser goes through every
-        branch and loop that a uniform leaves open.
+        ``constants`` are uniforms of the fragment shader whose values are compiled in (specialization constants). A software
+        rasteriser executes every branch and loop that depends on a uniform, so constants save time.
+
+        Raises ``GraphicsError`` if a shader does not compile.
         """
         self.require_current()
         key = (vertex, fragment, tuple((constants or {}).items()))
@@ -95,19 +101,19 @@ class Device:
             try:
                 program = self.ctx.program(vertex_shader=vertex, fragment_shader=text)
             except moderngl.Error as error:
-                _ = self.ctx.error  # the failed program leaves one behind; it is reported here and nowhere else
-                raise GraphicsError(f"a shader does not compile: {' '.join(str(error).split())}") from None
+                _ = self.ctx.error  # clear the error of the failed program: it is reported here
+                raise GraphicsError(f"OpenGL: a shader does not compile: {' '.join(str(error).split())}") from None
             program.extra = linked(program, (vertex, fragment), made)
             self._programs.put(*key, value=program)
         return program
 
     @property
     def programs(self) -> tuple[str, ...]:
-        """The labels of all programs that were compiled, in order (``skugga.terrain.gl.programs``)."""
+        """Labels of all compiled programs, in order (``skugga.terrain.gl.programs``)."""
         return tuple(program.extra.label for program in self._programs.values)
 
     def texture(self, array: np.ndarray) -> moderngl.Texture:
-        """A float32 texture of an array (rows, cols) or (rows, cols, 1 to 4); texel (col, row) is element (row, col)."""
+        """Return a float32 texture of an array (rows, cols) or (rows, cols, 1 to 4). Texel (col, row) is element (row, col)."""
         self.require_current()
         data = np.ascontiguousarray(array, np.float32)
         rows, cols = data.shape[:2]
@@ -116,9 +122,10 @@ class Device:
         return texture
 
     def depth_target(self, width: int, height: int, bits: int) -> moderngl.Framebuffer:
-        """A depth-only framebuffer of 16, 24 (normalised) or 32 bits (float), the texture without comparison.
+        """Return a depth-only framebuffer of 16, 24 (normalised) or 32 bits (float).
 
-        Its content lasts until the next one of its shape is asked for, unless ``depth_targets.keep`` is told what it is.
+        Its texture has no depth comparison. The content lasts until the next call for the same shape, unless
+        ``depth_targets.keep`` caches it.
         """
         self.require_current()
         return self.depth_targets.take(width, height, bits)
@@ -135,12 +142,12 @@ class Device:
         GL.glBindTexture(_TEXTURE_2D, texture.glo)
         GL.glTexImage2D(_TEXTURE_2D, 0, _FORMATS[bits], width, height, 0, _DEPTH_COMPONENT, _FLOAT, None)
         GL.glBindTexture(_TEXTURE_2D, 0)
-        texture.compare_func = ""  # read as numbers; the comparison is the shader's
+        texture.compare_func = ""  # sample raw depths; the shader compares
         texture.filter = moderngl.NEAREST, moderngl.NEAREST
         return texture
 
     def float_target(self, width: int, height: int) -> moderngl.Framebuffer:
-        """A one-channel float32 framebuffer; the last one is kept for reuse."""
+        """Return a one-channel float32 framebuffer. The last one is kept for reuse."""
         self.require_current()
         if self._float_target is None or self._float_target.size != (width, height):
             if self._float_target is not None:
@@ -150,9 +157,9 @@ class Device:
 
     @contextmanager
     def depth_pass(self, target: moderngl.Framebuffer, offset: tuple[float, float] = (0.0, 0.0)) -> Iterator[None]:
-        """Draw depth only, nearest wins, geometry before the near plane kept at depth 0 (clamped, not clipped).
+        """Set the state of a depth-only pass: nearest wins, and depth clamp keeps geometry before the near plane at depth 0.
 
-        ``offset`` is what depths are moved back by: a factor of their slope, and units of the smallest step (glPolygonOffset).
+        ``offset`` moves depths away from the eye: factor of the slope, and units of the smallest depth step (glPolygonOffset).
         """
         self.require_current()
         target.use()
@@ -170,7 +177,7 @@ class Device:
 
     @contextmanager
     def front_culled(self, clockwise: bool) -> Iterator[None]:
-        """Leave out triangles that face the viewer; their corners go round counter-clockwise as drawn, or ``clockwise``."""
+        """Cull front faces, which wind counter-clockwise in the picture, or ``clockwise``."""
         self.require_current()
         self.ctx.front_face, self.ctx.cull_face = "cw" if clockwise else "ccw", "front"
         self.ctx.enable(moderngl.CULL_FACE)
@@ -181,7 +188,7 @@ class Device:
             self.ctx.front_face, self.ctx.cull_face = "ccw", "back"
 
     def visible_target(self, width: int, height: int) -> moderngl.Framebuffer:
-        """A framebuffer of one uint32 (what is seen), one RGBA8 (its albedo) and a float depth; the last ones are kept."""
+        """Return a visibility framebuffer: uint32 primitive numbers, RGBA8 albedo and float32 depth. The last ones are kept."""
         self.require_current()
         found = next((each for each in self._visible_targets if each.size == (width, height)), None)
         if found is not None:
@@ -198,13 +205,16 @@ class Device:
 
     @contextmanager
     def visible_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:
-        """Draw what is nearest to the eye: depth from 1 (near) to 0 (infinitely far), so that float steps stay even."""
+        """Set the state of a visibility pass: the nearest surface wins, with reversed depth from 1 (near) to 0 (infinity).
+
+        Reversed float depth keeps the depth steps even over all distances.
+        """
         from OpenGL import GL
 
         self.require_current()
         target.use()
         target.clear(0.0, 0.0, 0.0, 0.0, depth=0.0)
-        GL.glClearBufferuiv(GL.GL_COLOR, 0, (0, 0, 0, 0))  # what a plain clear makes of integers is left to the driver
+        GL.glClearBufferuiv(GL.GL_COLOR, 0, (0, 0, 0, 0))  # clear() leaves integer attachments to the driver
         self.ctx.enable_only(moderngl.DEPTH_TEST)
         self.ctx.depth_func = ">"
         GL.glClipControl(_LOWER_LEFT, _ZERO_TO_ONE)
@@ -216,7 +226,7 @@ class Device:
             self.ctx.enable_only(moderngl.NOTHING)
 
     def write_depths(self, target: moderngl.Framebuffer, depths: np.ndarray) -> None:
-        """Put depths (rows, cols) float32 into a framebuffer of float depths; row 0 is the first texel row."""
+        """Write depths (rows, cols) float32 into a framebuffer of float depths. Row 0 is the first texel row."""
         self.require_current()
         texture = target.depth_attachment
         assert isinstance(texture, moderngl.Texture)
@@ -224,9 +234,9 @@ class Device:
         target.use()
 
     def layers(self, levels: tuple[np.ndarray, ...]) -> moderngl.TextureArray:
-        """A texture array with mipmaps of its own, sRGB colours decoded: levels (layers, s, s, 4) uint8, halved each time.
+        """Return an sRGB texture array of given mip levels, each uint8 (layers, s, s, 4) with half the side of the one before.
 
-        Textures are kept as long as ``levels[0]`` lives.
+        Samplers decode sRGB to linear colours. A texture is cached as long as ``levels[0]`` lives.
         """
         from OpenGL import GL
 
@@ -254,7 +264,7 @@ class Device:
     def render(
         self, array: moderngl.VertexArray, mode: int = moderngl.TRIANGLES, vertices: int = -1, first: int = 0, instances: int = -1
     ) -> None:
-        """Make a draw call, the only place that does, and put it on record with its program (one of ``program``'s).
+        """Make a draw call and record it with its program (one that ``program`` returned). No other code makes draw calls.
 
         ``vertices``, ``first`` and ``instances`` are those of ``moderngl.VertexArray.render``.
         """
@@ -262,9 +272,9 @@ class Device:
         note_draw(array.program.extra)
 
     def draw_triangles(self, program: moderngl.Program, vertices: np.ndarray, triangles: np.ndarray, first: int = 0) -> int:
-        """Draw indexed triangles of vertices (n, k) float32 (attribute ``position``); returns their number.
+        """Draw indexed triangles of vertices (n, k) float32 (attribute ``position``) and return their number.
 
-        ``first`` is the primitive number before the first one, for programs that have the uniform.
+        ``first`` is the primitive number before the first one, for programs that have this uniform.
         """
         self.require_current()
         if not len(triangles):
@@ -277,7 +287,7 @@ class Device:
 
     @contextmanager
     def uploaded(self, program: moderngl.Program, vertices: np.ndarray, indices: np.ndarray) -> Iterator[moderngl.VertexArray]:
-        """Vertices (n, k) float32 (attribute ``position``) and indices on the device, to ``render`` as often as one likes."""
+        """Upload vertices (n, k) float32 (attribute ``position``) and indices, for any number of ``render`` calls."""
         self.require_current()
         arrays = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(indices, np.int32)
         buffers = [self.ctx.buffer(array) for array in arrays]
@@ -291,9 +301,10 @@ class Device:
                 buffer.release()
 
     def draw_instances(self, program: moderngl.Program, triangles: np.ndarray, instances: list[tuple[str, np.ndarray]]) -> int:
-        """Draw triangles (m, 3) of vertices (their numbers are ``gl_VertexID``) per instance of attributes (n, k) float32.
+        """Draw triangles (m, 3) once per instance and return the number of triangles.
 
-        Returns the number of triangles.
+        Corners of ``triangles`` reach the shader as ``gl_VertexID``. ``instances`` are names and values (n, k) float32 of
+        per-instance attributes; attributes that the program lacks are skipped.
         """
         self.require_current()
         count = len(instances[0][1])
@@ -312,18 +323,18 @@ class Device:
         return count * len(triangles)
 
     def draw_sheet(self, program: moderngl.Program, position: np.ndarray, triangles: np.ndarray) -> int:
-        """Draw a sheet's triangles; ``position`` (rows, cols, k) are its nodes. Returns the number of triangles."""
+        """Draw a grid's triangles, ``position`` (rows, cols, k) being its nodes, and return their number."""
         return self.draw_triangles(program, position.reshape(-1, position.shape[-1]), triangles)
 
     def draw_pixels(self, program: moderngl.Program, target: moderngl.Framebuffer) -> None:
-        """Run a fragment shader once for every pixel of a framebuffer."""
+        """Run a fragment shader once for each pixel of a framebuffer."""
         self.require_current()
         target.use()
         self.ctx.enable_only(moderngl.NOTHING)
         self.draw_quad(program)
 
     def draw_quad(self, program: moderngl.Program) -> None:
-        """Run a fragment shader once for every pixel that the state of things lets through."""
+        """Run a fragment shader once for each pixel that passes the current depth, stencil and scissor tests."""
         array = self.ctx.vertex_array(program, [(self._quad, "2f", "corner")])
         self.render(array, vertices=3)
         array.release()
@@ -337,12 +348,13 @@ class Device:
         size: tuple[int, int] | None = None,
         lent: bool = False,
     ) -> np.ndarray:
-        """Read an attachment (-1: the depth) as (rows, cols) or (rows, cols, components), all of it or the first texels (across,
-        down); row 0 is the first texel row.
+        """Read an attachment (-1: the depth) as an array (rows, cols) or (rows, cols, components). Row 0 is the first texel row.
 
-        ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for steps of 16-bit depths. What is ``lent`` is
-        the device's own memory and holds until the next such reading: fresh memory for a large map costs more than its reading.
-        Raises ``GraphicsError`` with the wrong context, so that a mistake can never return other memory's bytes.
+        ``kind`` is ``f4`` for float32, ``u4`` for uint32, ``f1`` for bytes, ``u2`` for integer 16-bit depths. ``size`` (width,
+        height) limits the read to the first texels. With ``lent`` the array is the device's own memory, valid until the next such
+        read: allocating memory for a large map costs more than reading it.
+
+        Raises ``GraphicsError`` if the context is not current, so that a mistake never returns stale memory.
         """
         self.require_current()
         width, height = size or target.size
@@ -355,7 +367,7 @@ class Device:
         return out
 
     def _memory_lent(self, texel: np.dtype[Any], shape: tuple[int, ...]) -> np.ndarray:
-        """Zeroed memory that is used again and again."""
+        """Return zeroed memory of a shape, reused between reads of one dtype."""
         count = int(np.prod(shape))
         memory = self._lent.get(texel)
         if memory is None or memory.size < count:
@@ -364,14 +376,14 @@ class Device:
         return memory[:count].reshape(shape)
 
     def _release_target(self, target: moderngl.Framebuffer, *textures: moderngl.Texture | moderngl.Renderbuffer) -> None:
-        self._parking.use()  # moderngl would bind a released framebuffer again if it was the current one
+        self._parking.use()  # moderngl rebinds the current framebuffer, even a released one
         target.release()
         for texture in textures:
             texture.release()
 
 
 def _layers_bytes(texture: moderngl.TextureArray) -> int:
-    """Bytes of a texture array with its mipmaps."""
+    """Return the bytes of a texture array with its mipmaps."""
     width, height, count = texture.size
     return 4 * width * height * count * 4 // 3
 
@@ -381,10 +393,11 @@ _missing: NoOpenGLError | None = None
 
 
 def device() -> Device:
-    """The process's device; made by the first call, in the thread that will own it.
+    """Return the device of the process. The first call creates it, and its thread owns it.
 
-    Raises ``NoOpenGLError``: a process that found none once looks for none again, so that all its pictures are of one kind. Raises
-    ``InputError`` and ``GraphicsError`` for a device that cannot be had (``skugga.terrain.gl.egl_devices``).
+    Raises ``NoOpenGLError`` if the machine has no OpenGL. A process that failed once does not try again, so that all its pictures
+    are rendered alike. Raises ``InputError`` and ``GraphicsError`` for a device that the setting names wrongly or that gives no
+    context (``skugga.terrain.gl.egl_devices``).
     """
     global _device, _missing
     if _missing is not None:
@@ -400,7 +413,7 @@ def device() -> Device:
 
 
 def renderer_and_version() -> tuple[str, str]:
-    """What this process draws with, by OpenGL's names; ``NO_OPENGL`` and nothing where there is none."""
+    """Return OpenGL's renderer and version strings, or ``NO_OPENGL`` and an empty string without OpenGL."""
     try:
         return device().renderer, device().version
     except NoOpenGLError:
@@ -408,10 +421,10 @@ def renderer_and_version() -> tuple[str, str]:
 
 
 def egl_device_name() -> str:
-    """Which of EGL's devices this process has, for a person to read; nothing where it has none."""
+    """Return a display name of the process's EGL device, or an empty string before one is created."""
     return "" if _device is None else f"EGL device {_device.egl_device}"
 
 
 def is_open() -> bool:
-    """Whether this process has made its device."""
+    """Return whether the process has created its device."""
     return _device is not None

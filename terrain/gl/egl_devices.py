@@ -1,8 +1,8 @@
-"""The devices that EGL lists, and which of them a process draws with: the setting ``SKUGGA_EGL_DEVICE``.
+"""EGL device selection: the devices that EGL lists, and the one that a process uses (setting ``SKUGGA_EGL_DEVICE``).
 
-EGL lists graphics cards first and Mesa's software rasteriser last. What a device is called is known once it has made a context, and
-a process makes one: others are asked in processes of their own (``probed_device``), which a driver that crashes or hangs harms as
-little.
+EGL lists graphics cards first and Mesa's software rasteriser last. A device's OpenGL name is known only after it has created a
+context, and a process creates one context. So ``probed_device`` queries each further device in a subprocess. A driver that crashes
+or hangs there does not harm this process.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from skugga.terrain.errors import Problem, GraphicsError, InputError, NoOpenGLError
+from skugga.terrain.errors import GraphicsError, InputError, NoOpenGLError, Problem
 
 if TYPE_CHECKING:
     import moderngl
@@ -28,15 +28,15 @@ AUTO_DEVICE, SOFTWARE_DEVICE = "auto", "software"
 EGL_DEVICE_VALUES = "auto, software, or numbers of devices, separated by commas"
 
 LIBEGL, LIBGL = "libEGL.so.1", "libGL.so.1"
-"""Named, since finding them needs ldconfig or a compiler, which slim machines lack."""
+"""Full library names: searching for them needs ldconfig or a compiler, which slim images lack."""
 
 OPENGL_VERSION = 430
 
 NO_OPENGL = "no OpenGL"
-"""What stands for the renderer's name where there is none."""
+"""The renderer's name on a machine without OpenGL."""
 
 PROBE_LIMIT_S = 60.0
-"""How long it is waited for a device that is asked what it is."""
+"""Timeout of a device probe."""
 
 _EXTENSIONS, _DRM_DEVICE_FILE, _RENDERER = 0x3055, 0x3233, 0x335F
 _IGNORED = "GLCONTEXT_DEVICE_INDEX"
@@ -46,7 +46,17 @@ log = logging.getLogger("skugga")
 
 @dataclass(frozen=True)
 class EglDevice:
-    """A device as EGL lists it: its number, whether it is Mesa's software rasteriser, and how its driver names it, if at all."""
+    """A device of EGL's list.
+
+    Attributes
+    ----------
+    index
+        Its number in the list.
+    software
+        Whether it is Mesa's software rasteriser.
+    name
+        Its driver's name for it; empty if the driver has none.
+    """
 
     index: int
     software: bool
@@ -58,7 +68,7 @@ class EglDevice:
 
 @dataclass(frozen=True)
 class ProbedDevice:
-    """What a device draws with, by OpenGL's names; or the ``fault`` for which it makes no context."""
+    """Result of a device probe: OpenGL's renderer and version strings, or the ``fault`` that prevents a context."""
 
     renderer: str = ""
     version: str = ""
@@ -71,13 +81,13 @@ _turn = 0
 
 
 def take_turn(number: int) -> None:
-    """Let this process, before it has made its device, be the one with a number of several that share the devices."""
+    """Set the number of this process among those that share the devices. Call it before the device is created."""
     global _turn
     _turn = number
 
 
 def egl_devices() -> tuple[EglDevice, ...]:
-    """What EGL lists, in its order. Raises ``NoOpenGLError`` where there is no EGL, or one that lists no devices."""
+    """Return EGL's device list. Raises ``NoOpenGLError`` without EGL, or if EGL lists no devices."""
     try:
         egl = ctypes.CDLL(LIBEGL)
     except OSError as error:
@@ -87,10 +97,10 @@ def egl_devices() -> tuple[EglDevice, ...]:
     query_string = _function(egl, b"eglQueryDeviceStringEXT", ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int)
     count = ctypes.c_int()
     if query_devices is None or not query_devices(0, None, ctypes.byref(count)):
-        raise no_context("this EGL cannot list devices: it is without EGL_EXT_device_enumeration")
+        raise no_context("EGL cannot list devices without EGL_EXT_device_enumeration")
     handles = (ctypes.c_void_p * max(count.value, 1))()
     if not query_devices(count, handles, ctypes.byref(count)) or not count.value:
-        raise no_context("it finds no driver, and so no device")
+        raise no_context("EGL finds no driver")
 
     def text(handle: int | None, what: int) -> str:
         found = None if query_string is None else query_string(handle, what)
@@ -111,15 +121,15 @@ def _function(egl: ctypes.CDLL, name: bytes, result: Any, *arguments: Any) -> Ca
 
 
 def no_context(why: str) -> NoOpenGLError:
-    """The one sentence for a machine without OpenGL."""
+    """Return the error of a machine without OpenGL."""
     return NoOpenGLError(
-        f"no OpenGL 4.3 context through EGL ({why}): only bare ground under the sun is drawn without it; "
-        "'skugga doctor' says what is missing"
+        f"OpenGL: no OpenGL 4.3 context through EGL ({why}). Without it only terrain without objects can be drawn, under the sun. "
+        "Run 'skugga doctor' to see what is missing"
     )
 
 
 def read_setting(value: str) -> str | tuple[int, ...]:
-    """``auto``, ``software`` or the numbers of devices. Raises ``InputError``."""
+    """Parse the setting: ``auto``, ``software`` or device numbers. Raises ``InputError``."""
     text = value.strip().lower() or AUTO_DEVICE
     if text in (AUTO_DEVICE, SOFTWARE_DEVICE):
         return text
@@ -130,12 +140,30 @@ def read_setting(value: str) -> str | tuple[int, ...]:
 
 
 def devices_to_try(value: str, devices: Sequence[EglDevice], turn: int, probe: DeviceProbe) -> list[EglDevice]:
-    """The devices that a process with a number takes, by the setting: the first that makes a context. One, where it is named.
+    """Return the devices that a process tries in order, until one creates a context.
 
-    ``auto`` prefers graphics cards, and lets processes take turns with those that draw with the same as the first that draws at
-    all: pictures of different drivers differ, and a service has one calibration. Numbers take turns as they stand.
+    - ``auto`` prefers graphics cards. Processes are distributed (round robin by ``turn``) over the cards that have the same
+      renderer and version as the first working one: pictures of different drivers differ, and a service has one calibration.
+    - ``software`` means Mesa's software rasteriser.
+    - Device numbers are distributed round robin in the order of the setting; each process tries one device only.
 
-    Raises ``InputError`` where there is no such device, ``GraphicsError`` where devices that are named together are of two kinds.
+    Parameters
+    ----------
+    value
+        The setting.
+    devices
+        EGL's device list.
+    turn
+        The number of this process.
+    probe
+        Function that probes a device by its number.
+
+    Raises
+    ------
+    InputError
+        If a device does not exist.
+    GraphicsError
+        If devices named together differ in renderer or version.
     """
     asked = read_setting(value)
     if asked == AUTO_DEVICE:
@@ -155,13 +183,13 @@ def devices_to_try(value: str, devices: Sequence[EglDevice], turn: int, probe: D
         if not first.fault and not own.fault and first != own:
             raise GraphicsError(
                 f"{EGL_DEVICE}: '{value}' names devices of two kinds, which draw different pictures: {asked[0]} is "
-                f"{first.renderer}, {first.version}; {taken} is {own.renderer}, {own.version}"
+                f"{first.renderer}, {first.version}; {taken} is {own.renderer}, {own.version}. Name devices of one kind."
             )
     return [devices[taken]]
 
 
 def _in_turn(cards: list[EglDevice], turn: int, probe: DeviceProbe) -> list[EglDevice]:
-    """Graphics cards in the order in which a process with a number tries them."""
+    """Return the graphics cards in the order in which the process with number ``turn`` tries them."""
     if not turn or len(cards) < 2:
         return cards
     kinds = {card: probe(card.index) for card in cards}
@@ -172,14 +200,22 @@ def _in_turn(cards: list[EglDevice], turn: int, probe: DeviceProbe) -> list[EglD
 
 def _no_such_device(value: str, devices: Sequence[EglDevice]) -> InputError:
     there = ", ".join(map(str, devices))
-    return InputError(EGL_DEVICE, Problem(f"'{value}' names a device that is not there"), f"{EGL_DEVICE_VALUES}; there are {there}")
+    return InputError(
+        EGL_DEVICE, Problem(f"'{value}' names a device that does not exist"), f"Allowed: {EGL_DEVICE_VALUES}. Devices: {there}"
+    )
 
 
 def open_context() -> tuple[moderngl.Context, EglDevice]:
-    """A context, current in this thread, and the device that the setting gives it.
+    """Create a context on the device that the setting selects, and make it current in this thread.
 
-    Raises ``NoOpenGLError`` where no device makes one, ``GraphicsError`` where one does not that is named, ``InputError`` for a
-    setting that is wrong.
+    Raises
+    ------
+    NoOpenGLError
+        If no device creates a context (setting ``auto``).
+    GraphicsError
+        If a device that the setting names creates none.
+    InputError
+        If the setting is wrong.
     """
     value = os.environ.get(EGL_DEVICE, AUTO_DEVICE)
     asked, devices = read_setting(value), egl_devices()
@@ -191,19 +227,21 @@ def open_context() -> tuple[moderngl.Context, EglDevice]:
             faults.append(f"device {device}: {' '.join(str(error).split())}")
             continue
         if faults:
-            log.warning("EGL %s; device %s is taken instead", "; ".join(faults), device)
+            log.warning("EGL: %s. Device %s is used instead.", "; ".join(faults), device)
         return context, device
     if asked != AUTO_DEVICE:
-        raise GraphicsError(f"{EGL_DEVICE}: '{value}' gives no OpenGL 4.3 context: {'; '.join(faults)}")
+        raise GraphicsError(
+            f"{EGL_DEVICE}: '{value}' gives no OpenGL 4.3 context: {'; '.join(faults)}. Name another device, or use {AUTO_DEVICE}."
+        )
     raise no_context("; ".join(faults))
 
 
 def context_of(index: int) -> moderngl.Context:
-    """A context of one device, current in this thread. Raises what glcontext raises, which is of several kinds."""
+    """Create a context of one device, current in this thread. Raises glcontext's exceptions, which are of several types."""
     import moderngl
 
     settings: dict[str, Any] = {"backend": "egl", "libgl": LIBGL, "libegl": LIBEGL, "device_index": index}
-    with _unset(_IGNORED):  # glcontext lets it go before what it is told, and there is one setting
+    with _unset(_IGNORED):  # glcontext prefers this variable to its argument; Skugga has one setting
         return moderngl.create_context(standalone=True, require=OPENGL_VERSION, **settings)
 
 
@@ -218,7 +256,7 @@ def _unset(variable: str) -> Iterator[None]:
 
 
 def probed_device(index: int) -> ProbedDevice:
-    """What a device draws with, asked in a process of its own, which takes a part of a second."""
+    """Probe a device in a subprocess, which takes a fraction of a second."""
     code = f"from skugga.terrain.gl.egl_devices import answer_probe; answer_probe({index})"
     try:
         done = subprocess.run(
@@ -228,11 +266,11 @@ def probed_device(index: int) -> ProbedDevice:
     except subprocess.TimeoutExpired:
         return ProbedDevice(fault=f"no answer within {PROBE_LIMIT_S:g} s")
     except (OSError, ValueError, TypeError):
-        return ProbedDevice(fault="its driver ended the process that asked it")
+        return ProbedDevice(fault="its driver ended the probe process")
 
 
 def answer_probe(index: int) -> None:
-    """What that process runs: its answer as JSON on standard output."""
+    """Print the probe of a device as JSON: the main function of the subprocess."""
     try:
         context = context_of(index)
     except Exception as error:

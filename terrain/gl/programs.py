@@ -1,6 +1,6 @@
-"""Programs as they go on record: what they were made of, the textures that they can read, and every draw made with them.
+"""Records of shader programs and draw calls: a program's parts, constants and textures, and each draw call made with it.
 
-The record is that of the draw calls themselves: ``Device.render``, the only place that makes any, notes each.
+``Device.render`` makes all draw calls and records each.
 """
 
 from __future__ import annotations
@@ -26,8 +26,15 @@ _SAMPLER_TYPES = frozenset(
 
 @dataclass(frozen=True, eq=False)
 class Linked:
-    """A linked program: ``label``, the shader parts that it was made of and the constants compiled into it, by spaces
-    (``shadows/pixels.vert shadows/maps/receiver shadows/maps/shadow_map.frag taps=3``), and ``textures``, its active samplers.
+    """Description of a linked program.
+
+    Attributes
+    ----------
+    label
+        Its shader parts and the constants compiled into it, separated by spaces
+        (``shadows/pixels.vert shadows/maps/receiver shadows/maps/shadow_map.frag taps=3``).
+    textures
+        Names of its active samplers, sorted.
     """
 
     label: str
@@ -39,7 +46,7 @@ _RECORDS: ContextVar[tuple[list[Linked], ...]] = ContextVar("records", default=(
 
 @contextmanager
 def recorded() -> Iterator[list[Linked]]:
-    """The programs of all draw calls made meanwhile, one for each call, in order; records within records note alike."""
+    """Collect the programs of all draw calls made in the context, one for each call, in order. Contexts may be nested."""
     calls: list[Linked] = []
     token = _RECORDS.set((*_RECORDS.get(), calls))
     try:
@@ -49,18 +56,21 @@ def recorded() -> Iterator[list[Linked]]:
 
 
 def note_draw(program: Linked) -> None:
-    """Note a draw call."""
+    """Add a draw call to all open records."""
     for calls in _RECORDS.get():
         calls.append(program)
 
 
 def join_shader_parts(parts: Mapping[str, str]) -> str:
-    """The text of a shader of named parts, one after another; comments say which is which."""
+    """Return the source of a shader that concatenates named parts. A comment before each part names it."""
     return "#version 430\n" + "".join(f"{_PART}{name}\n{text}" for name, text in parts.items())
 
 
 def with_constants(fragment: str, constants: Mapping[str, bool | int]) -> tuple[str, list[str]]:
-    """A shader's text with some of its uniforms made constants, and which those are (``taps=3``): it may lack others."""
+    """Return a shader's source with uniforms replaced by constants, and the replaced ones (``taps=3``).
+
+    Constants whose uniform the shader lacks are ignored.
+    """
     made = []
     for name, value in constants.items():
         word = str(value).lower()
@@ -71,7 +81,7 @@ def with_constants(fragment: str, constants: Mapping[str, bool | int]) -> tuple[
 
 
 def linked(program: moderngl.Program, texts: tuple[str, str], constants: list[str]) -> Linked:
-    """A program as it goes on record: its samplers are those that the linker has left active."""
+    """Return the description of a linked program. Its textures are the samplers that the linker left active."""
     import moderngl
 
     parts = [line.removeprefix(_PART) for text in texts for line in text.splitlines() if line.startswith(_PART)]

@@ -1,6 +1,7 @@
-"""Mesa's cache of compiled shaders, on a disk that is full.
+"""Guard of Mesa's shader cache against a full disk.
 
-Mesa maps the index of its cache into memory, a file with holes. A write into a hole on a full disk ends the process (SIGBUS).
+Mesa maps the index of its cache, a sparse file, into memory. A write into a hole of that file ends the process (SIGBUS) if the disk
+is full.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from pathlib import Path
 from skugga.terrain.whole_files import disk_error
 
 DISABLE = "MESA_SHADER_CACHE_DISABLE"
-"""Environment variable by which Mesa keeps no shaders on disk."""
+"""Environment variable that disables Mesa's shader cache."""
 
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
@@ -24,18 +25,18 @@ log = logging.getLogger("skugga")
 
 @contextmanager
 def safe_shader_cache() -> Iterator[None]:
-    """Open OpenGL inside of this: the index has no holes then, or Mesa does without its cache where the disk has no room for it."""
+    """Guard the creation of an OpenGL context: allocate the blocks of Mesa's cache index, or disable the cache on a full disk."""
     index = _index()
     if not _has_room(index):
         os.environ[DISABLE] = "true"
-        log.warning("the disk of %s is full: shaders are not kept there", index.parent)
+        log.warning("%s: the disk is full. Compiled shaders are not cached.", index.parent)
     yield
-    with suppress(OSError):  # Mesa may have made the index only now
+    with suppress(OSError):  # Mesa may have created the index just now
         _fill_holes(index)
 
 
 def _index() -> Path:
-    """The file that Mesa maps into memory. Where Mesa keeps its cache in another form there is none."""
+    """Return the path of the index file that Mesa maps into memory. Other forms of Mesa's cache have no such file."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     return Path(os.environ.get("MESA_SHADER_CACHE_DIR") or home) / "mesa_shader_cache" / "index"
 
@@ -49,11 +50,11 @@ def _has_room(index: Path) -> bool:
         refused: OSError | None = disk_error(folder / index.name, 2 * 2**20)
     except OSError as error:
         refused = error
-    return refused is None or refused.errno not in NO_ROOM  # a folder that cannot be written is Mesa's to deal with
+    return refused is None or refused.errno not in NO_ROOM  # Mesa handles a folder without write permission
 
 
 def _fill_holes(index: Path) -> None:
-    """Give a file the blocks that it has no room for yet; what it holds stays. Raises ``OSError``."""
+    """Allocate the missing blocks of a sparse file without changing its content. Raises ``OSError``."""
     with index.open("r+b") as file:
         size = os.fstat(file.fileno()).st_size
         if size:

@@ -1,9 +1,9 @@
-"""The stencil of a device: a framebuffer of float depth and eight-bit stencil, and the passes that count in it.
+"""Stencil passes: framebuffers of float depth and eight-bit stencil, and the passes that count faces in them.
 
-The raw calls that moderngl has none for; with ``skugga.terrain.gl.device`` the only module that makes any. Every pass puts back
-what it set: moderngl neither clears a stencil nor switches its test off.
+moderngl supports no stencil, so this module makes raw OpenGL calls; only this module and ``skugga.terrain.gl.device`` do. moderngl
+neither clears a stencil nor disables its test, so each pass restores the state that it sets.
 
-Depths of these passes go from 0, infinitely far away, to 1, and the nearer one is the greater.
+These passes use reversed depth: 0 is infinity, 1 is near, and the greater depth is nearer.
 """
 
 from __future__ import annotations
@@ -21,28 +21,43 @@ _CLIP_DISTANCE0, _DEPTH_CLAMP = 0x3000, 0x864F
 _LOWER_LEFT, _NEGATIVE_ONE_TO_ONE, _ZERO_TO_ONE = 0x8CA1, 0x935E, 0x935F
 
 STENCIL_CACHE_BYTES, PIXEL_BYTES = 128 * MIB, 12
-"""Framebuffers are kept up to so many bytes (that of a view and that of its samples, say), and a pixel of one takes so many."""
+"""Limit of the framebuffer cache (a view's framebuffer and that of its supersamples, for example), and bytes of a pixel."""
 
 MARK_BIT = 0x80
-"""The bit that marks pixels; what is marked counts to 127, everything else to 255."""
+"""The bit that marks pixels. Marked pixels count to 127, all others to 255."""
 
 GRID_STEPS = 1.0
-"""Faces are drawn farther away by what so many steps of the rasteriser's grid (1/256 pixel) make of their slope, so that a face
-that begins at a surface and grazes it is not taken to lie before it. A corner is rounded by half a step along either axis,
-which moves the plane at a pixel by at most a step of its steeper slope.
+"""Slope offset of faces, in steps of the rasteriser's grid (1/256 pixel).
+
+It moves faces away from the eye, so that a face that starts at a surface at a grazing angle does not count as in front of it.
+Rounding moves a corner by half a step along either axis, which moves the plane at a pixel by at most a step of its steeper slope.
 """
 
 Counting = Literal["z_pass", "z_fail", "faces", "seen"]
-"""What faces do to the stencil. ``z_pass``: before the point, one that faces the eye adds one, another takes one. ``z_fail``:
-behind it or in it, the other way round. ``faces``: each before the point adds one, up to 255. ``seen``: what is not behind makes it
-255."""
+"""How faces change the stencil.
+
+- ``z_pass``: in front of the point, front faces add one and back faces subtract one.
+- ``z_fail``: at or behind the point, front faces subtract one and back faces add one.
+- ``faces``: each face in front of the point adds one, up to 255.
+- ``seen``: a face that is not behind the point sets the stencil to 255.
+"""
 
 Side = Literal["both", "front", "back"]
-"""The faces that are drawn: those that face the eye, or do not."""
+"""The faces that are drawn: all, front faces or back faces."""
 
 
 class Stencil:
-    """Drawing into a stencil. ``require_current`` and ``check`` are those of the device that owns the context."""
+    """Stencil passes of a device.
+
+    Parameters
+    ----------
+    ctx
+        The device's context.
+    require_current, check
+        The device's methods of these names.
+    park
+        Function that binds another framebuffer, before the current one is released.
+    """
 
     def __init__(
         self, ctx: moderngl.Context, require_current: Callable[[], None], check: Callable[[str], None], park: Callable[[], None]
@@ -57,7 +72,7 @@ class Stencil:
         )
 
     def target(self, width: int, height: int) -> moderngl.Framebuffer:
-        """A framebuffer of an eight-bit stencil beside float depths; the last ones are kept. It holds 0, infinitely far away."""
+        """Return a cleared framebuffer with float depth (0, infinity) and eight-bit stencil (0). The last ones are cached."""
         from OpenGL import GL
 
         self._require_current()
@@ -65,8 +80,8 @@ class Stencil:
         if not isinstance(found, Missing):
             target = found[0]
         else:
-            target = self._ctx.framebuffer([self._ctx.renderbuffer((width, height), 1)])  # moderngl needs a colour
-            target.color_mask, target.depth_mask = (False,) * 4, True  # it knows of no depth, and would not write any
+            target = self._ctx.framebuffer([self._ctx.renderbuffer((width, height), 1)])  # moderngl requires a colour
+            target.color_mask, target.depth_mask = (False,) * 4, True  # moderngl knows no depth attachment: enable it
             storage = int(GL.glGenRenderbuffers(1))
             GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, storage)
             GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, GL.GL_DEPTH32F_STENCIL8, width, height)
@@ -84,13 +99,13 @@ class Stencil:
         from OpenGL import GL
 
         old, storage = held
-        self._park()  # moderngl would bind a released framebuffer again if it was the current one
+        self._park()  # moderngl rebinds the current framebuffer, even a released one
         for item in (old, *old.color_attachments):
             item.release()
         GL.glDeleteRenderbuffers(1, [storage])
 
     def clear(self, target: moderngl.Framebuffer, bits: int = 0xFF) -> None:
-        """Make some bits of a stencil 0."""
+        """Clear some bits of a stencil."""
         from OpenGL import GL
 
         self._require_current()
@@ -101,9 +116,10 @@ class Stencil:
 
     @contextmanager
     def once_pass(self, target: moderngl.Framebuffer, held: int, clip_distances: int = 0) -> Iterator[None]:
-        """Whatever the depth: what holds ``held`` holds one more where anything is drawn, however often.
+        """Set the state of a pass that increments pixels of stencil value ``held`` once, without depth test.
 
-        ``clip_distances`` is the number of distances that the vertex shaders write.
+        Further fragments of a pixel do not increment it again. ``clip_distances`` is the number of clip distances that the vertex
+        shaders write.
         """
         with self._testing(target, depth=False):
             from OpenGL import GL
@@ -120,7 +136,7 @@ class Stencil:
 
     @contextmanager
     def mark_pass(self, target: moderngl.Framebuffer) -> Iterator[None]:
-        """Whatever the depth: mark what is drawn."""
+        """Set the state of a pass that marks all drawn pixels, without depth test."""
         with self._testing(target, depth=False):
             from OpenGL import GL
 
@@ -130,7 +146,7 @@ class Stencil:
 
     @contextmanager
     def depth_pass(self, target: moderngl.Framebuffer, always: bool = False) -> Iterator[None]:
-        """Draw depths, the nearest wins, or with ``always`` the last; the stencil stays as it is."""
+        """Set the state of a pass that writes depths and no stencil: the nearest wins, or with ``always`` the last."""
         from OpenGL import GL
 
         self._require_current()
@@ -155,10 +171,24 @@ class Stencil:
         clamped: bool = False,
         away_steps: float = 0.0,
     ) -> Iterator[None]:
-        """Count faces against the depths that are there, which stay as they are; those that face the eye go round clockwise.
+        """Set the state of a pass that counts faces against the depths in the framebuffer, without writing depths.
 
-        With ``marked`` only what is marked counts; with ``clamped`` nothing is cut off at the near and far planes. Faces are drawn
-        ``away_steps`` steps of a float32 depth farther away, besides ``GRID_STEPS``.
+        Front faces wind clockwise.
+
+        Parameters
+        ----------
+        target
+            The framebuffer.
+        counting
+            How faces change the stencil.
+        side
+            The faces to draw.
+        marked
+            Whether only marked pixels count.
+        clamped
+            Whether to clamp depths instead of clipping at the near and far planes.
+        away_steps
+            Depth offset away from the eye in float32 depth steps, besides ``GRID_STEPS``.
         """
         with self._testing(target, depth=True):
             from OpenGL import GL
@@ -198,7 +228,7 @@ class Stencil:
                 target.depth_mask = True
 
     def read(self, target: moderngl.Framebuffer) -> np.ndarray:
-        """Read a stencil as uint8 (rows, cols); row 0 is the first. Raises ``GraphicsError`` as ``Device.read``."""
+        """Read a stencil as uint8 (rows, cols). Row 0 is the first texel row. Raises ``GraphicsError`` as ``Device.read`` does."""
         from OpenGL import GL
 
         self._require_current()

@@ -1,1 +1,1 @@
-"""Vegetation as data: where trees stand, in which order they are thinned out, and how their leaves look."""
+"""Vegetation as data: positions and sizes of trees, their thinning order, and the pictures of their foliage."""

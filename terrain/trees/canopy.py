@@ -1,8 +1,8 @@
-"""Trees from a raster of canopy heights: single tops where its cells are fine enough to show them, else a scattered stand.
+"""Trees from a canopy height model (CHM): detected treetops if the cells are fine enough, otherwise scattered trees.
 
-A top is the highest cell of a round window whose radius grows with its height (S. C. Popescu, R. H. Wynne: Seeing the trees
-in the forest, Photogrammetric Engineering & Remote Sensing 70, 2004). Equal heights are told apart by a hash, so that a flat
-canopy bears trees a window apart.
+A treetop is the highest cell of a round window whose radius grows with the height of the cell (local maximum filter with a variable
+window: S. C. Popescu, R. H. Wynne: Seeing the trees in the forest, Photogrammetric Engineering & Remote Sensing 70, 2004). A hash
+breaks ties of equal heights, so that a flat canopy has trees one window apart.
 """
 
 from __future__ import annotations
@@ -28,36 +28,46 @@ from skugga.terrain.trees.canopy_sample import MAX_HEIGHT_M, TREE_HEIGHT_M
 from skugga.terrain.trees.scatter import HECTARE_M2, Places, pair_key, point_keys, scatter_trees
 
 COARSE_CELL_M = 3.0
-"""Cells wider than this show no single trees."""
+"""Largest cell in which single trees can be detected."""
 
 CROWN_CELLS = 1.3
-"""Nor do finer ones show trees whose crowns are usually narrower than this, in cells: there would be fewer tops than trees."""
+"""Smallest usual crown diameter, in cells, of trees that can be detected. Smaller crowns give fewer tops than trees."""
 
 TREETOP_WINDOW_M: dict[str, tuple[float, float]] = {"conifer": (0.8, 0.05), "broadleaf": (0.5, 0.15)}
-"""Radius of a top's window: metres, and metres per metre of height. Never less than the eight neighbours. Conifers': that of
-ForestTools' ``vwf`` (A. Plowright). Broadleaved crowns have several humps: half of Popescu and Wynne's width of deciduous crowns,
-3.09632 m + 0.00895 h**2 / m, as a line that keeps within 0.22 m of the half from 8 m to 25 m and does not run away beyond.
+"""Radius of a treetop's window: metres, and metres per metre of height. The window always includes the eight neighbours.
+
+- Conifers: the line of ForestTools' ``vwf`` (A. Plowright).
+- Broadleaved crowns have several humps. The line approximates half of Popescu and Wynne's width of deciduous crowns, 3.09632 m +
+  0.00895 h**2 / m. It deviates by at most 0.22 m from 8 m to 25 m, and does not grow as fast beyond.
 """
 
 NEIGHBOURS = 3
-"""Tops whose mean distance is the room that a crown has."""
+"""Number of nearest treetops whose mean distance limits a crown."""
 
 MAX_CROWN_RATIO = 1.2
-"""Largest crown's diameter, in mean distances to those neighbours."""
+"""Upper bound of a crown's diameter, in mean distances to those neighbours."""
 
 PACKING = 2.0 / np.sqrt(3.0)
-"""Crowns per squared diameter where they touch on all sides (hexagonal packing)."""
+"""Crowns per squared diameter in a closed canopy (hexagonal packing)."""
 
 _BLOCK = 1024
-"""Cells a side that are searched for tops at a time."""
+"""Side of the blocks of treetop detection, cells."""
 
 _SQUARE_M, _SQUARE_CELLS = 1000.0, 16.0
-"""Side of the squares that a coarse canopy is scattered in: the larger of both."""
+"""Side of the squares of scattered trees: the larger of both."""
 
 
 @dataclass(frozen=True, eq=False)
 class Crowns:
-    """Trees of a canopy: their places in the CRS asked for and float64 (n,) heights."""
+    """Trees of a canopy.
+
+    Attributes
+    ----------
+    places
+        Positions (n,) in the requested CRS.
+    height_m
+        Heights float64 (n,), metres.
+    """
 
     places: Places
     height_m: np.ndarray
@@ -65,7 +75,7 @@ class Crowns:
 
 @dataclass(frozen=True)
 class CellWindow:
-    """Cells [row0, row1) x [col0, col1) of a raster."""
+    """Rows [row0, row1) and columns [col0, col1) of a raster."""
 
     row0: int
     col0: int
@@ -74,11 +84,28 @@ class CellWindow:
 
 
 class Canopy:
-    """An open raster of heights above ground. Not to be shared between threads.
+    """An open raster of canopy heights above ground. Do not share it between threads.
 
-    ``least_m`` is the height below which canopy is left out.
+    Parameters
+    ----------
+    source
+        The raster, by GDAL's name.
 
-    Raises ``SourceError`` if it is no raster, broken, without a CRS or in an unknown unit.
+    Attributes
+    ----------
+    name
+        The source.
+    least_m
+        Minimum height of trees, metres: lower canopy is ignored.
+    crs
+        The raster's CRS.
+    rows, cols
+        Its size in cells.
+
+    Raises
+    ------
+    SourceError
+        If the source is no raster, is damaged, or has no CRS or an unknown unit.
     """
 
     least_m = TREE_HEIGHT_M
@@ -90,21 +117,29 @@ class Canopy:
             crs = CRS.from_user_input(dataset.crs.to_wkt()) if dataset.crs else None
         except (RasterioError, CRSError) as error:
             reason = str(error).replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
-            raise SourceError(source, reason or "it cannot be opened", "a raster with a CRS that GDAL reads") from None
+            raise SourceError(source, reason or "cannot be opened", "Use a raster with a CRS that GDAL reads") from None
         if dataset.count < 1 or dataset.dtypes[0].startswith("complex"):
-            raise SourceError(source, dataset.dtypes[0] if dataset.count else "no band", "a first band of canopy heights")
+            problem = f"band 1 has the data type {dataset.dtypes[0]}" if dataset.count else "no band"
+            raise SourceError(source, problem, "Use a raster whose first band holds canopy heights as real numbers")
         check_geotransform(source, dataset)
         if crs is None:
-            raise SourceError(source, "no coordinate reference system", "a raster with a CRS")
+            raise SourceError(source, "no coordinate reference system", "Use a raster with a CRS")
         self.crs = crs
         check_cells(source, dataset)
         self._transform = axes_of(crs).affine @ dataset.transform
-        unit_m = vertical_axis(source, dataset).unit_m  # a canopy grows upwards, whatever its vertical CRS does
+        unit_m = vertical_axis(
+            source,
+            dataset,
+            # Canopy heights increase upwards, even if the axis of the vertical CRS points down.
+        ).unit_m
         self._scale, self._offset = dataset.scales[0] * unit_m, dataset.offsets[0] * unit_m
         self.rows, self.cols = dataset.height, dataset.width
 
     def heights_m(self, row0: int, col0: int, rows: int, cols: int) -> np.ndarray:
-        """Heights float32 (rows, cols) of a window that may reach beyond the raster; 0 where there is no tree."""
+        """Return heights float32 (rows, cols) of a window, metres. Cells without trees or outside the raster are 0.
+
+        Raises ``SourceError`` if a part of the raster cannot be read.
+        """
         out = np.zeros((rows, cols), np.float32)
         top, left = max(row0, 0), max(col0, 0)
         bottom, right = min(row0 + rows, self.rows), min(col0 + cols, self.cols)
@@ -114,7 +149,7 @@ class Canopy:
         try:
             data = self._dataset.read(1, window=window, masked=True)
         except RasterioError:
-            raise SourceError(self.name, "a part that cannot be read", "an undamaged file") from None
+            raise SourceError(self.name, "a part of it cannot be read", "Use an undamaged file") from None
         values = data.filled(0).astype(np.float64) * self._scale + self._offset
         with np.errstate(invalid="ignore"):
             tree = ~np.ma.getmaskarray(data) & (values >= self.least_m) & (values <= MAX_HEIGHT_M)
@@ -122,13 +157,13 @@ class Canopy:
         return out
 
     def xy(self, crs: CRS, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates in ``crs`` of (fractional) cells, whole numbers at their centres; infinite where it has none."""
+        """Return coordinates in ``crs`` of fractional cells (integers are cell centres); infinite where ``crs`` is undefined."""
         gt, row, col = self._transform, np.asarray(row) + 0.5, np.asarray(col) + 0.5
         x, y = gt.a * col + gt.b * row + gt.c, gt.d * col + gt.e * row + gt.f
         return (x, y) if same_coordinates(self.crs, crs) else between(self.name, self.crs, crs).transform(x, y)
 
     def cell_of(self, crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(Fractional) row and column of coordinates in ``crs``; infinite where the raster's CRS has none."""
+        """Return fractional rows and columns of coordinates in ``crs``; infinite where the raster's CRS is undefined."""
         if not same_coordinates(self.crs, crs):
             x, y = between(self.name, self.crs, crs, back=True).transform(x, y)
         gt, inverse = self._transform, ~self._transform
@@ -139,11 +174,11 @@ class Canopy:
         return inverse.d * x + inverse.e * y - 0.5, inverse.a * x + inverse.b * y - 0.5
 
     def outline(self, crs: CRS) -> np.ndarray:
-        """Points (n, 2) of the raster's border in ``crs``."""
+        """Return points (n, 2) of the raster's border in ``crs``."""
         return np.column_stack(self.xy(crs, *border_cells(self.rows, self.cols)))
 
     def window(self, crs: CRS, area: shapely.Polygon | None) -> CellWindow | None:
-        """The cells that may lie in an area of ``crs`` (``None``: all); ``None`` if there are none."""
+        """Return the window of cells that may lie in an area of ``crs`` (``None``: all), or ``None`` if no cell does."""
         if area is None:
             return CellWindow(0, 0, self.rows, self.cols)
         border = shapely.get_coordinates(area)
@@ -163,16 +198,35 @@ class Canopy:
         window_m: tuple[float, float],
         seed: int,
     ) -> Iterator[Crowns]:
-        """The canopy's trees in a window, piece by piece, placed in ``crs`` whose unit is ``unit_m`` metres.
+        """Yield the trees of a window of the canopy, in parts.
 
-        ``crown_of`` gives the usual crown's diameter in metres for a height, ``window_m`` is that of the tops
-        (``TREETOP_WINDOW_M``). Canopy too low for its cells to show, and shrubs are scattered as dense as such crowns close. Raises
-        ``SourceError`` where the raster is not to be read or has no place in ``crs``.
+        Trees at least as high as the detection limit of the cells are treetops. Lower trees and shrubs are scattered at the density
+        of a closed canopy.
+
+        Parameters
+        ----------
+        crs
+            CRS of the trees' positions.
+        unit_m
+            Its unit in metres.
+        window
+            The cells.
+        crown_of
+            Function from heights to usual crown diameters, both in metres.
+        window_m
+            Radius of a treetop's window (``TREETOP_WINDOW_M``).
+        seed
+            Seed of the hashes.
+
+        Raises
+        ------
+        SourceError
+            If the raster cannot be read, or its CRS cannot be transformed into ``crs``.
         """
         to_m, cell_m = self._metres_from_cells(crs, unit_m, window), self.cell_m(crs, unit_m, window)
         shown_m = _shown_m(cell_m, crown_of, self.least_m)
         if self.least_m < TREE_HEIGHT_M:
-            shown_m = max(shown_m, TREE_HEIGHT_M)  # hedges and vines have no tops: they are closed
+            shown_m = max(shown_m, TREE_HEIGHT_M)  # hedges and vines have no single tops
         if shown_m > self.least_m:
             side = max(_SQUARE_M, _SQUARE_CELLS * cell_m) / unit_m
             for square in self._squares(crs, window, side):
@@ -188,9 +242,9 @@ class Canopy:
     def tops(
         self, metres_from_cells: np.ndarray, window: CellWindow, window_m: tuple[float, float]
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Rows, columns and heights in metres of the tops in a window, block by block.
+        """Yield rows, columns and heights (metres) of the treetops in a window, block by block.
 
-        ``metres_from_cells`` (2, 2) takes a step of columns and rows to one on the ground.
+        ``metres_from_cells`` (2, 2) maps an offset in columns and rows to metres on the ground.
         """
         steps, distance_m = _steps(metres_from_cells, window_m[0] + window_m[1] * MAX_HEIGHT_M)
         halo = int(np.abs(steps).max())
@@ -203,8 +257,9 @@ class Canopy:
                 yield row + top, col + left, heights[row + halo, col + halo].astype(np.float64)
 
     def sample(self, window: CellWindow, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows, columns and heights in metres (n,), NaN where there are none, of the cells of a window: of a large one every few,
-        ``most`` a side.
+        """Return rows, columns and heights (n,) of the cells of a window, subsampled to at most ``most`` a side.
+
+        Heights are in metres, NaN for nodata. Raises ``SourceError`` if a part of the raster cannot be read.
         """
         rows, cols = window.row1 - window.row0, window.col1 - window.col0
         shape = min(rows, most), min(cols, most)
@@ -212,7 +267,7 @@ class Canopy:
             part = Window(window.col0, window.row0, cols, rows)
             data = self._dataset.read(1, window=part, out_shape=shape, masked=True)
         except RasterioError:
-            raise SourceError(self.name, "a part that cannot be read", "an undamaged file") from None
+            raise SourceError(self.name, "a part of it cannot be read", "Use an undamaged file") from None
         heights = data.astype(np.float64).filled(np.nan) * self._scale + self._offset
         row, col = np.indices(shape)
         rows_at = window.row0 + np.floor((row + 0.5) * rows / shape[0])
@@ -220,10 +275,14 @@ class Canopy:
         return rows_at.ravel(), cols_at.ravel(), np.where(np.isfinite(heights), heights, np.nan).ravel()
 
     def cell_m(self, crs: CRS, unit_m: float, window: CellWindow) -> float:
-        """Metres that a cell of a window is long and wide on the ground. Raises ``SourceError`` off what ``crs`` covers."""
+        """Return the square root of a cell's area on the ground, metres.
+
+        Raises ``SourceError`` if the raster's CRS cannot be transformed into ``crs``.
+        """
         cell_m = float(np.sqrt(abs(np.linalg.det(self._metres_from_cells(crs, unit_m, window)))))
         if not np.isfinite(cell_m) or cell_m == 0:
-            raise SourceError(self.name, f"its CRS '{self.crs.name}'", f"a CRS that can be transformed into '{crs.name}'")
+            problem = f"its CRS '{self.crs.name}' cannot be transformed into '{crs.name}'"
+            raise SourceError(self.name, problem, "Use a raster in another CRS")
         return cell_m
 
     def close(self) -> None:
@@ -234,12 +293,12 @@ class Canopy:
         return self._jacobian(crs, (window.row0 + window.row1 - 1) / 2, (window.col0 + window.col1 - 1) / 2) * unit_m
 
     def _jacobian(self, crs: CRS, row: float, col: float) -> np.ndarray:
-        """(2, 2): x, y in ``crs`` for a step of a column and one of a row."""
+        """Return the derivatives (2, 2) of x and y in ``crs`` by column and row."""
         x, y = self.xy(crs, row + np.array([0.0, 0.0, -0.5, 0.5]), col + np.array([-0.5, 0.5, 0.0, 0.0]))
         return np.array([[x[1] - x[0], x[3] - x[2]], [y[1] - y[0], y[3] - y[2]]])
 
     def _squares(self, crs: CRS, window: CellWindow, side: float) -> Iterator[shapely.Polygon]:
-        """Squares of ``crs``, counted from its origin, that a window of cells may reach."""
+        """Yield the squares of a grid from the origin of ``crs`` that a window of cells may touch."""
         t = np.linspace(0.0, 1.0, 33)
         row, col = np.meshgrid(
             window.row0 - 0.5 + t * (window.row1 - window.row0), window.col0 - 0.5 + t * (window.col1 - window.col0)
@@ -261,7 +320,10 @@ class Canopy:
         below_m: float,
         seed: int,
     ) -> Iterator[Crowns]:
-        """Trees of the canopy below a height in a square: a lattice for each class of heights, as dense as its crowns close."""
+        """Yield scattered trees of the canopy below a height in a square: a lattice for each height class.
+
+        The density of a lattice is that of a closed canopy of the class's crowns.
+        """
         west, south, _, _ = square.bounds
         origin, step, heights = self._straightened(crs, square)
         heights = np.where(heights < below_m, heights, 0.0)
@@ -278,8 +340,13 @@ class Canopy:
             yield Crowns(Places(p.x[kept], p.y[kept], p.key[kept]), height[kept])
 
     def _straightened(self, crs: CRS, square: shapely.Polygon) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Row and column of a square's south-west corner, the steps (2, 2) of both for one of x and y (straight within a
-        square), and the heights of the window that they are counted in.
+        """Return a linear map from a square to cells, and the heights of the window of these cells.
+
+        Returns
+        -------
+        origin, step, heights
+            Row and column (2,) of the south-west corner in the window, their derivatives (2, 2) by x and y, and heights float32
+            (rows, cols).
         """
         west, south, east, north = square.bounds
         cell = np.stack(self.cell_of(crs, np.array([west, east, west, east]), np.array([south, south, north, north])))
@@ -294,14 +361,14 @@ class Canopy:
 
 
 def border_cells(rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-    """(Fractional) rows and columns (n,) of points round a raster's border."""
+    """Return fractional rows and columns (n,) of points along a raster's border."""
     t = np.linspace(0.0, 1.0, 65)
     row, col = np.concatenate([t * 0, t, t * 0 + 1, 1 - t]), np.concatenate([t, t * 0 + 1, 1 - t, t * 0])
     return row * rows - 0.5, col * cols - 0.5
 
 
 def room_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
-    """Mean distance float64 (n,) of each place to its ``NEIGHBOURS`` nearest, metres; infinite where there are not so many."""
+    """Return the mean distance float64 (n,) in metres of each point to its ``NEIGHBOURS`` nearest; infinite if there are fewer."""
     from scipy.spatial import cKDTree
 
     if len(x) <= NEIGHBOURS:
@@ -311,7 +378,7 @@ def room_m(x: np.ndarray, y: np.ndarray, unit_m: float) -> np.ndarray:
 
 
 def _shown_m(cell_m: float, crown_of: Callable[[np.ndarray], np.ndarray], least_m: float) -> float:
-    """Height from which cells of a size show trees one by one: 0 for all trees, infinite for none."""
+    """Return the minimum height of trees that can be detected in cells of a size: 0 for all trees, infinite for none."""
     heights = np.geomspace(least_m, MAX_HEIGHT_M, 1000)
     hidden = crown_of(heights) < CROWN_CELLS * cell_m
     if cell_m > COARSE_CELL_M or hidden.all():
@@ -320,7 +387,7 @@ def _shown_m(cell_m: float, crown_of: Callable[[np.ndarray], np.ndarray], least_
 
 
 def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray], least_m: float) -> np.ndarray:
-    """Edges of height classes, metres, in each of which crowns grow by no more than the root of two."""
+    """Return the edges of height classes, metres. Within a class crown diameters grow by at most a factor of sqrt(2)."""
     heights = np.geomspace(least_m, MAX_HEIGHT_M, 1000)
     octave = np.floor(2.0 * np.log2(crown_of(heights) / crown_of(heights[:1])))
     first = np.flatnonzero(np.diff(octave, prepend=-1.0) > 0)
@@ -328,7 +395,10 @@ def _height_classes(crown_of: Callable[[np.ndarray], np.ndarray], least_m: float
 
 
 def _steps(metres_from_cells: np.ndarray, most_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Steps (n, 2) of rows and columns within a distance, nearest first, and their lengths; 0 for the eight neighbours."""
+    """Return offsets (n, 2) in rows and columns within a distance, nearest first, and their lengths (n,) in metres.
+
+    The eight neighbours have length 0.
+    """
     reach = np.ceil(most_m * np.linalg.norm(np.linalg.inv(metres_from_cells), axis=1)).astype(int) + 1
     col, row = (v.ravel() for v in np.meshgrid(np.arange(-reach[0], reach[0] + 1), np.arange(-reach[1], reach[1] + 1)))
     distance = np.linalg.norm(metres_from_cells @ np.stack([col, row]), axis=0)
@@ -340,7 +410,10 @@ def _steps(metres_from_cells: np.ndarray, most_m: float) -> tuple[np.ndarray, np
 
 @compiled
 def _are_tops(heights, halo, row0, col0, steps, distance_m, radius_m, radius_per_m):
-    """Which cells inside a halo are the highest of their windows; row0, col0 number the halo's first cell in the raster."""
+    """Return the mask (rows, cols) of cells, without the halo, that are the highest of their windows.
+
+    ``row0`` and ``col0`` are the position of the halo's first cell in the raster.
+    """
     rows, cols = heights.shape[0] - 2 * halo, heights.shape[1] - 2 * halo
     out = np.zeros((rows, cols), np.bool_)
     for i in range(rows):

@@ -1,4 +1,4 @@
-"""A look at a raster of canopy heights before it is planted: what its cells hold, and whether they count from the ground."""
+"""Checks of a canopy height raster before planting: shares of height classes, and whether heights count from the ground."""
 
 from __future__ import annotations
 
@@ -9,53 +9,56 @@ import numpy as np
 from skugga.terrain.errors import SourceError
 
 MAX_HEIGHT_M = 150.0
-"""Canopy above is none."""
+"""Upper bound of plausible canopy heights."""
 
 GIANT_HEIGHT_M = 80.0
-"""Single trees grow higher than this (the highest one to 116 m), but not most of a wood."""
+"""Few trees of a wood are higher than this; the highest tree measures 116 m."""
 
 TREE_HEIGHT_M, SHRUB_HEIGHT_M = 2.0, 0.5
-"""Canopy from which cells are trees, and hedges or vines, where the level names no other height."""
+"""Minimum heights of trees, and of hedges and vines, if the level sets no minimum."""
 
 LOW_SHARE = 0.5
-"""A canopy of which more than this share of the cells with trees or shrubs are shrubs is low: undergrowth is less."""
+"""A canopy is low if a larger share of its cells with trees or shrubs are shrubs. Undergrowth has a smaller share."""
 
 MAX_SHRUBS = 1_000_000
-"""More shrubs than this are left out, where the level does not ask for them."""
+"""Shrubs are left out if there are more than this, unless the level sets ``least_height``."""
 
 SURFACE_ABOVE_M = (-5.0, 100.0)
-"""Heights above the sea lie so far above the ground, at least nearly everywhere (``SURFACE_SHARE``)."""
+"""Range of a surface model's heights above the ground, in at least ``SURFACE_SHARE`` of the cells."""
 
 SURFACE_SHARE = 0.95
 
 RISING_M, RISE = 3.0, (0.7, 1.3)
-"""Where the ground's heights vary by this (standard deviation), heights above the sea rise with it, metre by metre."""
+"""Minimum standard deviation of the ground's heights for a regression, and slopes that mean heights above sea level.
+
+Heights above sea level rise with the ground, metre by metre.
+"""
 
 LEAST_ABOVE_SEA_M = 30.0
-"""On flatter ground 95 of 100 cells have to be higher than this: there are gaps in all canopies, and shrubs in them."""
+"""Minimum 5th percentile of heights above sea level over flatter ground: all canopies have gaps with shrubs in them."""
 
 MIN_PLACES = 20
-"""Cells that have to be known to tell heights above the sea."""
+"""Minimum number of cells with both heights for the test."""
 
 
 @dataclass(frozen=True)
 class CanopyCells:
-    """Shares of a canopy's cells, 0 to 1.
+    """Shares of a canopy's cells by height class, in [0, 1].
 
     Attributes
     ----------
     unknown
-        Without a height.
+        Nodata.
     bare
         Lower than ``SHRUB_HEIGHT_M``.
     low
-        From there to ``TREE_HEIGHT_M``.
+        From ``SHRUB_HEIGHT_M`` to ``TREE_HEIGHT_M``.
     tall
-        From there to ``MAX_HEIGHT_M``.
+        From ``TREE_HEIGHT_M`` to ``MAX_HEIGHT_M``.
     absurd
-        Higher than that.
+        Higher than ``MAX_HEIGHT_M``.
     giant
-        Higher than ``GIANT_HEIGHT_M``, absurd ones among them.
+        Higher than ``GIANT_HEIGHT_M``, absurd ones included.
     """
 
     unknown: float
@@ -67,19 +70,19 @@ class CanopyCells:
 
     @property
     def is_mostly_giant(self) -> bool:
-        """Whether most cells with trees are higher than woods are: in another unit, as decimetres."""
+        """Whether most cells with trees are giant: the heights are probably in another unit, such as decimetres."""
         return self.giant > self.tall + self.absurd - self.giant
 
     @property
     def is_low(self) -> bool:
-        """Whether shrubs are more than the undergrowth of trees."""
+        """Whether the canopy is mostly shrubs, not only undergrowth of trees."""
         return self.low > LOW_SHARE * (self.low + self.tall)
 
     def left_out(self, least_m: float) -> str:
-        """Which cells bear nothing, in words."""
+        """Return a text that lists the shares of cells without trees."""
         shares = {
             f"lower than {SHRUB_HEIGHT_M:g} m": self.bare,
-            f"of {SHRUB_HEIGHT_M:g} m to {TREE_HEIGHT_M:g} m (least_height takes them)": self.low
+            f"of {SHRUB_HEIGHT_M:g} m to {TREE_HEIGHT_M:g} m (set least_height to include them)": self.low
             if least_m == TREE_HEIGHT_M
             else 0.0,
             "without a height": self.unknown,
@@ -90,7 +93,7 @@ class CanopyCells:
 
 
 def cells_of(heights_m: np.ndarray) -> CanopyCells:
-    """Return the shares of heights (n,), NaN where there are none."""
+    """Return the shares by height class of heights (n,), NaN for nodata."""
     edges = (heights_m < SHRUB_HEIGHT_M, heights_m < TREE_HEIGHT_M, heights_m <= MAX_HEIGHT_M, heights_m > MAX_HEIGHT_M)
     unknown, *upto = (float(np.mean(each)) for each in (np.isnan(heights_m), *edges))
     giant = float(np.mean(heights_m > GIANT_HEIGHT_M))
@@ -98,7 +101,7 @@ def cells_of(heights_m: np.ndarray) -> CanopyCells:
 
 
 def check_above_ground(source: str, heights_m: np.ndarray, ground_m: np.ndarray) -> None:
-    """Raise ``SourceError`` for a canopy's heights (n,) that count from the sea, as those of the ground (n,) at its cells do."""
+    """Raise ``SourceError`` if canopy heights (n,) are heights above sea level, like the ground heights (n,) at the same cells."""
     known = np.isfinite(heights_m) & np.isfinite(ground_m)
     if known.sum() < MIN_PLACES:
         return
@@ -114,5 +117,5 @@ def check_above_ground(source: str, heights_m: np.ndarray, ground_m: np.ndarray)
         above_sea = np.percentile(heights_m, 5.0) >= LEAST_ABOVE_SEA_M
     if above_sea:
         low, high = np.percentile(above_m, [5.0, 95.0])
-        said = f"heights above the sea: they lie {low:.0f} to {high:.0f} m above the terrain's own"
-        raise SourceError(source, said, "heights above ground: the canopy's surface less the ground")
+        said = f"it has heights above the sea, {low:.0f} to {high:.0f} m above the terrain"
+        raise SourceError(source, said, "Use heights above ground: the canopy's surface minus the ground")

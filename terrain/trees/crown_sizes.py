@@ -1,4 +1,4 @@
-"""How trees look and how wide their crowns are, drawn from the hashes of their places."""
+"""Tree variants and crown diameters, drawn from the hashes of the trees' positions."""
 
 from __future__ import annotations
 
@@ -9,18 +9,21 @@ from skugga.terrain.trees.foliage import TREE_VARIANTS
 from skugga.terrain.trees.scatter import shares
 
 HEIGHT, CROWN, SPECIES, LOOK, TURN, SPREAD = range(6)
-"""Streams of shares."""
+"""Streams of random numbers (``skugga.terrain.trees.scatter.shares``)."""
 
 CROWN_M: dict[str, tuple[float, float]] = {"conifer": (1.0, 0.2), "broadleaf": (1.0, 0.3)}
-"""Crown's diameter: metres, and metres per metre of height. Lines along the curves of S. C. Popescu, R. H. Wynne (Seeing the
-trees in the forest, 2004) for pines and deciduous trees of 8 to 25 m, which give saplings crowns wider than high."""
+"""Usual crown diameter: metres, and metres per metre of height.
+
+The lines approximate the curves of S. C. Popescu, R. H. Wynne (Seeing the trees in the forest, 2004) for pines and deciduous trees
+of 8 to 25 m. The curves themselves give saplings crowns wider than high.
+"""
 
 CROWN_SPREAD = 0.15
-"""How far single crowns lie from the line, as a share of it."""
+"""Maximum deviation of a crown's diameter from the usual one, relative."""
 
 
 def looks_of(key: np.ndarray, species: Species) -> np.ndarray:
-    """Looks uint8 (n,) of a species; of ``mixed`` stands half the trees are conifers."""
+    """Return random variants uint8 (n,) of a species, indices into ``TREE_VARIANTS``. Half of a ``mixed`` stand are conifers."""
     kinds = {
         kind: np.array([n for n, variant in enumerate(TREE_VARIANTS) if variant.species == kind], np.uint8) for kind in CROWN_M
     }
@@ -32,14 +35,18 @@ def looks_of(key: np.ndarray, species: Species) -> np.ndarray:
 
 
 def line_of(lines: dict[str, tuple[float, float]], species: Species) -> tuple[float, float]:
-    """Metres, and metres per metre of height, for a species (``mixed``: between both)."""
+    """Return the metres, and metres per metre of height, of a species. ``mixed`` is the mean of both species."""
     of_species = list(lines.values()) if species == "mixed" else [lines[species]]
     base, slope = np.mean(of_species, axis=0).tolist()
     return base, slope
 
 
 def own_crown_m(height_m: np.ndarray, variant: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Diameters of single crowns: their species' usual ones, wider or narrower as the look is among its kin."""
+    """Return crown diameters float64 (n,), metres.
+
+    A diameter is the usual one of the species, times the variant's crown-to-height ratio relative to the mean of the species, times
+    a random deviation by ``share`` (n,) in [0, 1).
+    """
     mean_ratio = {kind: np.mean([k.crown_to_height for k in TREE_VARIANTS if k.species == kind]) for kind in CROWN_M}
     base, slope, wide = np.array([(*CROWN_M[k.species], k.crown_to_height / mean_ratio[k.species]) for k in TREE_VARIANTS]).T[
         :, variant

@@ -1,4 +1,4 @@
-"""The pictures on a tree's crossed quads: how it looks from the side and from above, at every distance."""
+"""Pictures (impostors) on a tree's crossed quads: side view and top view of each variant, with mip levels."""
 
 from __future__ import annotations
 
@@ -14,18 +14,28 @@ from skugga.terrain.srgb import linear_of_srgb, srgb_of_linear
 from skugga.terrain.trees.foliage_paint import Clumped, Whorled, paint
 from skugga.terrain.trees.kept_pictures import kept_pictures
 
-THRESHOLD = 0.5  # share of alpha from which a point of a picture is tree
+THRESHOLD = 0.5  # alpha test: points with at least this alpha are opaque
 TEXTURE_PX = 256
 SMALLEST_MIP_PX = 4
-SUBGRID = 4  # sampling points a texel and axis, where coverage is measured
-DITHERS = (0.0, 0.125, 0.5, 2.0)  # tried in turn, relative to alpha
-COVERAGE_TOLERANCE = 0.004  # coverage this near to the wanted is not improved
+SUBGRID = 4  # sampling points per texel and axis for measuring coverage
+DITHERS = (0.0, 0.125, 0.5, 2.0)  # amplitudes of the dither, relative to alpha, tried in this order
+COVERAGE_TOLERANCE = 0.004  # accepted difference of coverage
 
 
 @dataclass(frozen=True)
 class TreeVariant:
-    """A kind of tree: ``species`` is "conifer" or "broadleaf", ``crown_height`` the share of the tree's height at which the
-    level crown quad lies, ``crown_to_height`` the crown's diameter over the height for which the pictures are painted.
+    """A kind of tree.
+
+    Attributes
+    ----------
+    name
+        Common name.
+    species
+        "conifer" or "broadleaf".
+    crown_height
+        Height of the horizontal crown quad, as a share of the tree's height.
+    crown_to_height
+        Crown diameter over tree height in the painted pictures.
     """
 
     name: str
@@ -36,14 +46,14 @@ class TreeVariant:
 
 @dataclass(frozen=True, eq=False)
 class Foliage:
-    """The pictures of all looks.
+    """The pictures of all variants.
 
     Attributes
     ----------
     levels
-        Mip levels, each uint8 (2 * looks, s, s, 4) with s = 256, 128 ... 4: sRGB albedo and alpha, not premultiplied. Layer
-        2 * look is the view from the side: row 0 at the tree's top, the stem's foot in the middle of the last row. Layer
-        2 * look + 1 is the view from above. Clamp to the edge when sampling.
+        Mip levels, each uint8 (2 * variants, s, s, 4) with s = 256, 128 ... 4: sRGB albedo and alpha, not premultiplied. Layer
+        2 * variant is the side view: row 0 at the tree's top, the stem's foot in the middle of the last row. Layer
+        2 * variant + 1 is the top view. Clamp to the edge when sampling.
     """
 
     levels: tuple[np.ndarray, ...]
@@ -231,15 +241,15 @@ TREE_VARIANTS: tuple[TreeVariant, ...] = tuple(variant for variant, _ in _KINDS)
 
 
 PAINTED_BY = tuple(Path(__file__).parent / name for name in ("foliage.py", "foliage_paint.py", "../srgb.py"))
-"""Files of code that make the pictures what they are."""
+"""Source files that determine the pictures (part of the cache key)."""
 
 OUTLINE_CELLS = 16
-"""Cells a side of a picture by which its outline is told."""
+"""Cells a side of the grid from which a picture's outline is derived."""
 
 
 @cached("process", 256 * MIB)
 def foliage() -> Foliage:
-    """The pictures of ``TREE_VARIANTS``, painted once and the same on every machine."""
+    """Return the pictures of ``TREE_VARIANTS``, painted once. They are the same on each machine."""
     return Foliage(kept_pictures(_painted, PAINTED_BY))
 
 
@@ -254,8 +264,10 @@ def _painted() -> tuple[np.ndarray, ...]:
 
 @cached("process", MIB)
 def leaf_outlines() -> np.ndarray:
-    """For each picture (2 * looks, k, 2) the corners of a convex polygon that holds all of its leaves, the last one repeated: right
-    and up from the lower left corner, in [0, 1]; a sixteenth of the picture is what it may be too large by.
+    """Return a convex polygon round the opaque texels of each picture: corners float64 (2 * variants, k, 2).
+
+    Coordinates in [0, 1] go right and up from the lower left corner. Polygons with fewer than k corners repeat their last one. A
+    polygon may be too large by one cell, a sixteenth of the picture.
     """
     from scipy.spatial import ConvexHull
 
@@ -273,37 +285,37 @@ def leaf_outlines() -> np.ndarray:
 
 
 def coverage_mips(rgba: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
-    """Mip levels of a cut-out picture, each of which covers the same share of the picture as the first.
+    """Return alpha-tested mip levels that all cover the same share of the picture as the first level.
 
-    A mean of alpha makes a cut-out thin out or close up with distance. Here each level's alpha is scaled until the share of
-    points at or above the threshold is level 0's (I. Castano, "Computing alpha mipmaps", 2010), the points being those of a
-    4 x 4 grid in each texel, sampled bilinearly and clamped to the edge as a graphics card does. Where the mean is so even
-    that a scale gives all or nothing, as for a fine regular pattern, a fixed dither breaks the tie.
+    Averaged alpha makes an alpha-tested picture thin out or close up with distance. So each level's alpha is scaled until its
+    coverage, the share of points at or above the threshold, equals that of level 0 (I. Castano, "Computing alpha mipmaps", 2010).
+    The points are a 4 x 4 grid in each texel, sampled bilinearly and clamped to the edge, as on a graphics card. A fine regular
+    pattern averages to an even alpha, and scaling covers all of it or nothing; there a fixed dither breaks the tie.
 
-    Colours are means in linear light weighted by alpha; texels without any alpha take the colour of their surroundings.
+    Colours are means in linear light weighted by alpha. Texels without alpha take the colour of their surroundings.
 
     Parameters
     ----------
     rgba
-        uint8 (h, w, 4), sRGB colour and alpha, not premultiplied; sides are powers of two of at least 4.
+        uint8 (h, w, 4), sRGB colour and alpha, not premultiplied. Sides are powers of two, at least 4.
     threshold
-        Share of full alpha from which a point counts as covered, in (0, 1).
+        Threshold of the alpha test, in (0, 1).
 
     Returns
     -------
-    uint8 (h, w, 4), (h/2, w/2, 4) ... down to a shorter side of 4. Level 0 has the given alpha.
+    Levels uint8 (h, w, 4), (h/2, w/2, 4) ... down to a shorter side of 4. Level 0 keeps the alpha of ``rgba``.
 
     Raises
     ------
     InputError
-        Where the picture or the threshold is not as above.
+        If the picture or the threshold is not as described.
     """
     rgba = np.asarray(rgba)
     sides = rgba.shape[:2]
     if rgba.dtype != np.uint8 or rgba.ndim != 3 or rgba.shape[2] != 4 or any(n < SMALLEST_MIP_PX or n & (n - 1) for n in sides):
-        raise InputError("rgba", f"{rgba.dtype} {rgba.shape}", "uint8 (h, w, 4), h and w powers of two, 4 at least")
+        raise InputError("rgba", f"{rgba.dtype} {rgba.shape}", "uint8 (h, w, 4) with h and w powers of two, at least 4")
     if not 0.0 < threshold < 1.0:
-        raise InputError("threshold", threshold, "a number above 0 and below 1")
+        raise InputError("threshold", threshold, "numbers above 0 and below 1")
 
     alpha = [rgba[..., 3] / 255.0]
     light = [linear_of_srgb(rgba[..., :3] / 255.0) * alpha[0][..., None]]
@@ -317,7 +329,7 @@ def coverage_mips(rgba: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
 
 
 def _texture(view: np.ndarray, stands: bool) -> np.ndarray:
-    """A painted view as bytes, its outermost texels cleared but for a stem that ``stands`` on the last row."""
+    """Convert a painted view to bytes and clear its border texels. With ``stands`` the stem keeps its foot on the last row."""
     alpha = view[..., 3].copy()
     foot = alpha[-1].copy()
     alpha[[0, -1]] = 0.0
@@ -328,10 +340,10 @@ def _texture(view: np.ndarray, stands: bool) -> np.ndarray:
 
 
 def _covering(alpha: np.ndarray, wanted: float, threshold: float) -> np.ndarray:
-    """Alpha in bytes, scaled and if need be dithered, whose coverage is the nearest to ``wanted``."""
+    """Scale alpha, with a dither if needed, so that its coverage is nearest to ``wanted``. Return it as uint8."""
     best, error = _bytes(alpha), np.inf
     row, column = np.indices(alpha.shape)
-    # The R2 sequence (M. Roberts, 2018): an ordered dither that fits any size.
+    # Ordered dither for any size: the R2 sequence (M. Roberts, 2018).
     order = (0.7548776662466927 * column + 0.5698402909980532 * row) % 1.0 - 0.5
     for dither in DITHERS:
         uneven = alpha * np.maximum(1.0 + dither * order, 0.0)
@@ -350,7 +362,7 @@ def _covering(alpha: np.ndarray, wanted: float, threshold: float) -> np.ndarray:
 
 @compiled
 def _coverage(alpha, least):
-    """Share of the points of a SUBGRID x SUBGRID grid in each texel at which bilinear alpha is at least ``least``."""
+    """Return the share of points, SUBGRID x SUBGRID in each texel, at which bilinear alpha is at least ``least``."""
     height, width = alpha.shape
     covered = 0
     for i in range(height * SUBGRID):
@@ -371,7 +383,7 @@ def _coverage(alpha, least):
 
 
 def _filled(light: list[np.ndarray], alpha: list[np.ndarray]) -> list[np.ndarray]:
-    """Linear colour of each level, taken from the next coarser one where a texel has no alpha, coarsest last."""
+    """Return the linear colours of all levels, coarsest last. Texels without alpha take the colour of the next coarser level."""
     weight = alpha[-1].sum()
     coarser = np.broadcast_to(light[-1].sum(axis=(0, 1)) / weight if weight else np.zeros(3), light[-1].shape)
     colours = []

@@ -1,8 +1,8 @@
-"""Grows model trees out of strokes and paints them: what a tree's pictures show from the side and from straight above.
+"""Procedural model trees, and the painter of their side view and top view.
 
-A model tree stands in units of its own height: its foot at the origin, its tip at z = 1, its crown within ``radius`` of the
-stem. It is made of strokes, straight pieces with a thickness: stem, limbs, twigs, leaves, tufts of needles. Both pictures are
-orthographic views of the same strokes, so the silhouette from the side and the one from above belong to one tree.
+The unit of length is the tree's height. A model tree has its foot at the origin, its tip at z = 1 and its crown within ``radius``
+of the stem. It consists of strokes, straight pieces with a thickness: stem, limbs, twigs, leaves, tufts of needles. Both pictures
+are orthographic views of the same strokes, so both silhouettes belong to one tree.
 """
 
 from __future__ import annotations
@@ -13,16 +13,26 @@ import numpy as np
 
 from skugga.terrain.compiled import compiled
 
-SUPERSAMPLING = 3  # samples a texel and axis
-SNAP = 2.0**-20  # heights of the tree; strokes are snapped so that the last bits of a machine's sines cannot change a picture
-OUTLIERS = (0.01, 0.001)  # share of the strokes' ends at the rim and at the top that may lie beyond the picture
+SUPERSAMPLING = 3  # samples per texel and axis
+SNAP = 2.0**-20  # tree heights: rounding of strokes, so that last-bit differences of sines between machines change no picture
+OUTLIERS = (0.01, 0.001)  # share of stroke ends at the rim and at the top that may lie outside the picture
 
 Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Strokes:
-    """Straight pieces with round ends: (n, 3) ends, (n, 2) radii there, (n, 3) linear albedo, all in heights of the tree."""
+    """Straight pieces with round ends; lengths in tree heights.
+
+    Attributes
+    ----------
+    start, end
+        Ends (n, 3).
+    radius
+        Radii (n, 2) at both ends.
+    albedo
+        Linear albedo (n, 3).
+    """
 
     start: np.ndarray
     end: np.ndarray
@@ -32,12 +42,32 @@ class Strokes:
 
 @dataclass(frozen=True)
 class Whorled:
-    """A conifer whose branches leave a straight stem in whorls; lengths in heights of the tree, slopes as rise over run.
+    """A conifer with whorls of branches on a straight stem; lengths in tree heights, slopes as rise over run.
 
-    ``slope_low`` and ``slope_high`` are the branches' slopes at the stem in the lowest and the highest whorl, ``sag`` how much
-    they droop towards the tip and ``upturn`` how much the tip rises again, ``hang`` how far twigs hang, ``gaps`` the share of
-    branches that are missing, ``fullness`` below 1 makes the outline bulge. ``twig`` is the longest twig, ``spacing`` the way
-    from one to the next and ``thickness`` half its width in needles, ``stem`` half the stem's width.
+    Attributes
+    ----------
+    radius
+        Radius of the crown.
+    crown_base
+        Height of the lowest whorl.
+    whorls, branches
+        Number of whorls, and of branches in each.
+    slope_low, slope_high
+        Slopes of branches at the stem in the lowest and the highest whorl.
+    sag, upturn
+        Droop of a branch towards its tip, and rise of the tip itself.
+    hang
+        Droop of twigs, relative to their length.
+    gaps
+        Share of missing branches.
+    fullness
+        Exponent of the outline: 1 is a cone, less makes it bulge.
+    twig, spacing, thickness
+        Length of the longest twig, distance between twigs, and half a twig's width with needles.
+    stem
+        Half the stem's width.
+    needle_albedo, bark_albedo
+        Linear albedo.
     """
 
     radius: float
@@ -61,12 +91,36 @@ class Whorled:
 
 @dataclass(frozen=True)
 class Clumped:
-    """A tree whose limbs end in clumps of leaves or needles; lengths in heights of the tree.
+    """A tree whose limbs end in clumps of leaves or needles; lengths in tree heights.
 
-    ``widest`` is the share of the crown's depth, from below, at which it is widest, ``squareness`` the exponent of its
-    outline (2: an ellipse), ``inside`` how near to the stem clumps stand, ``droop`` how far sprigs hang, ``flat`` the
-    clumps' height over width, ``fork`` the height of the lowest limb, ``leaf`` a leaf's length and half its width,
-    ``stem`` half the stem's width. A clump has as many ``sprigs`` as given, a sprig as many ``leaves``.
+    Attributes
+    ----------
+    radius
+        Radius of the crown.
+    crown_base
+        Height of the crown's base.
+    widest
+        Height of the largest width, as a share of the crown's depth from below.
+    squareness
+        Exponent of the outline (2: an ellipse).
+    clumps, clump_radius
+        Number of clumps, and their mean radius.
+    inside
+        Smallest distance of clumps from the stem, relative to the largest (before a power of 0.6).
+    flat
+        Height over width of clumps.
+    droop
+        Droop of sprigs.
+    sprigs, leaves
+        Number of sprigs in a clump, and of leaves in a sprig.
+    leaf
+        Length and half width of a leaf.
+    fork
+        Height of the lowest limb.
+    stem
+        Half the stem's width.
+    leaf_albedo, bark_albedo, limb_albedo
+        Linear albedo.
     """
 
     radius: float
@@ -89,13 +143,14 @@ class Clumped:
 
 
 def paint(model: Whorled | Clumped, seed: int, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """The side view and the view from above of a model tree.
+    """Paint the side view and the top view of a model tree.
 
     Returns
     -------
-    Two float64 (size, size, 4): mean linear albedo of what is seen in a texel (0 where there is nothing) and the share of the
-    texel that it covers. The side view spans the crown's width and the tree's height, north of the tree behind it; the view
-    from above has east to the right and north up.
+    side, above
+        float64 (size, size, 4): mean linear albedo of the visible strokes in a texel (0 without any) and their coverage of the
+        texel. The side view looks north and spans the crown's width and the tree's height. The top view has east to the right
+        and north up.
     """
     rng = np.random.default_rng(seed)
     grown = _whorled(model, rng) if isinstance(model, Whorled) else _clumped(model, rng)
@@ -107,9 +162,18 @@ def paint(model: Whorled | Clumped, seed: int, size: int) -> tuple[np.ndarray, n
 
 @dataclass(frozen=True, eq=False)
 class _Branches:
-    """The branches of a whorled tree: feet on the stem and level directions (n, 3), the rest (n,).
+    """The branches of a whorled tree.
 
-    ``low`` is how low in the crown a branch stands: 1 at its base, 0 at its top.
+    Attributes
+    ----------
+    foot
+        Starting points (n, 3) on the stem.
+    ahead
+        Horizontal unit directions (n, 3).
+    length, slope
+        Length, and slope at the stem (n,).
+    low
+        Position in the crown (n,): 1 at its base, 0 at its top.
     """
 
     foot: np.ndarray
@@ -132,9 +196,9 @@ def _branches(model: Whorled, rng: np.random.Generator) -> _Branches:
     whorl = whorl[rng.random(len(whorl)) >= model.gaps]
     n = len(whorl)
     high = np.clip((whorl + rng.normal(0.0, 0.35, n)) / model.whorls, 0.0, 0.985)
-    # Each whorl is turned against the last by the golden angle, as shoots are.
+    # Each whorl is rotated against the last by the golden angle, as in phyllotaxis.
     azimuth = 2.0 * np.pi * (whorl * 0.382 + (np.arange(n) + rng.normal(0.0, 0.22, n)) / model.branches)
-    # The lowest branches of a crown are shaded, old and a little shorter than those above them.
+    # The lowest branches are shaded, old and slightly shorter than those above them.
     outline = (1.0 - high) ** model.fullness * np.clip(0.78 + 3.0 * high, 0.0, 1.0)
     return _Branches(
         foot=np.outer(model.crown_base + (1.0 - model.crown_base) * high, (0.0, 0.0, 1.0)),
@@ -146,7 +210,7 @@ def _branches(model: Whorled, rng: np.random.Generator) -> _Branches:
 
 
 def _along(model: Whorled, branches: _Branches, i: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Points (n, 3) at the shares ``t`` of the lengths of branches ``i``."""
+    """Return the points (n, 3) on branches ``i`` at parameters ``t`` in [0, 1]."""
     rise = branches.slope[i] * t + branches.low[i] * (model.upturn * t**4 - model.sag * t**1.6)
     level = branches.ahead[i] * t[:, None]
     return branches.foot[i] + branches.length[i, None] * (level + np.outer(rise, (0.0, 0.0, 1.0)))
@@ -161,7 +225,7 @@ def _boughs(model: Whorled, branches: _Branches) -> Strokes:
 
 
 def _twigs(model: Whorled, branches: _Branches, rng: np.random.Generator) -> Strokes:
-    """Twigs to both sides of every branch: together a frond, whose longest twigs grow near the stem and whose tip is a point."""
+    """Return the twigs on both sides of each branch. They form a frond: longest near the stem, pointed at the tip."""
     pairs = np.maximum((branches.length / model.spacing).astype(int), 2)
     i = np.repeat(np.arange(len(pairs)), 2 * pairs)
     nth = np.arange(len(i)) - np.repeat(np.cumsum(2 * pairs) - 2 * pairs, 2 * pairs)
@@ -171,13 +235,13 @@ def _twigs(model: Whorled, branches: _Branches, rng: np.random.Generator) -> Str
     reach = np.minimum(model.twig, 0.005 + 0.45 * branches.length[i]) * rng.uniform(0.5, 1.15, len(i)) * (1.12 - 0.62 * t)
     twig = _unit(0.75 * branches.ahead[i] + left[:, None] * aside) * reach[:, None]
     twig[:, 2] -= reach * model.hang * rng.uniform(0.1, 1.0, len(i)) * branches.low[i]
-    # Needles near the stem are old and dull, those of the last years at the tip are fresh.
+    # Needles near the stem are old and dull, recent ones at the tip are fresh.
     fresh = (0.4 + 0.8 * t) * rng.uniform(0.9, 1.1, len(pairs))[i]
     return _needled(_along(model, branches, i, t), twig, fresh, model, rng)
 
 
 def _needled(start: np.ndarray, twig: np.ndarray, fresh: np.ndarray, model: Whorled, rng: np.random.Generator) -> Strokes:
-    """Twigs in their needles: each a tapering stroke with three side shoots, which makes its edge ragged."""
+    """Return twigs with needles: each a tapering stroke with three side shoots that make its edge ragged."""
     n, reach = len(start), np.linalg.norm(twig, axis=1, keepdims=True)
     thick = model.thickness * rng.uniform(0.7, 1.2, n)
     tint = _tinted(model.needle_albedo, n, rng) * fresh[:, None]
@@ -202,7 +266,7 @@ def _leaves(model: Clumped, centre: np.ndarray, size: np.ndarray, rng: np.random
     outward = direction * (rng.uniform(0.5, 1.0, len(clump)) * size[clump])[:, None] * (1.0, 1.0, model.flat)
     sprig = centre[clump] + outward
     sprig[:, 2] -= model.droop * np.hypot(outward[:, 0], outward[:, 1])
-    # What faces down in a clump is in its own shade.
+    # The underside of a clump is in its own shade.
     shade = (0.74 + 0.52 * direction[:, 2:]) * rng.uniform(0.92, 1.08, (len(clump), 1))
     tint = _tinted(model.leaf_albedo, len(centre), rng)[clump] * shade
 
@@ -216,7 +280,7 @@ def _leaves(model: Clumped, centre: np.ndarray, size: np.ndarray, rng: np.random
 
 
 def _clump_centres(model: Clumped, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (n, 3) and radii (n,) of clumps, spread evenly through the crown by Mitchell's best candidate (1991)."""
+    """Return centres (n, 3) and radii (n,) of clumps, distributed by Mitchell's best candidate algorithm (1991)."""
     centre = np.empty((model.clumps, 3))
     size = model.clump_radius * rng.uniform(0.7, 1.25, model.clumps)
     for i in range(model.clumps):
@@ -234,7 +298,7 @@ def _clump_centres(model: Clumped, rng: np.random.Generator) -> tuple[np.ndarray
 
 
 def _limbs(model: Clumped, centre: np.ndarray, rng: np.random.Generator) -> Strokes:
-    """Limbs from the stem to every clump: each clump, the inner ones first, joins the wood that is the least way off."""
+    """Return limbs from the stem to each clump. Each clump, innermost first, joins the nearest existing wood."""
     height = np.linspace(model.fork, 0.8, 24)
     nodes = np.column_stack([np.zeros((24, 2)), height])
     thick = 0.75 * model.stem * (1.0 - 0.8 * height / 0.8) + 0.1 * model.stem
@@ -258,7 +322,7 @@ def _limbs(model: Clumped, centre: np.ndarray, rng: np.random.Generator) -> Stro
 def _stem(
     radius: float, top: float, top_radius: float, low_albedo: Colour, high_albedo: Colour, rng: np.random.Generator
 ) -> Strokes:
-    """A stem in short pieces of mottled bark, flared at the foot and nearly straight above it."""
+    """Return a stem of short pieces with mottled bark, flared at the foot and nearly straight above."""
     pieces = 80
     z = np.linspace(-0.02, top, pieces + 1)
     share = np.clip(z / top, 0.0, 1.0)
@@ -267,7 +331,7 @@ def _stem(
     thick = top_radius + (radius - top_radius) * (1.0 - share) + 0.3 * radius * np.exp(-np.maximum(z, 0.0) / 0.04)
     bark = np.array(low_albedo) + np.clip(2.0 * share - 0.6, 0.0, 1.0)[:, None] * (np.array(high_albedo) - np.array(low_albedo))
     core = _strokes(path[:-1], path[1:], np.column_stack([thick[:-1], thick[1:]]), bark[:-1])
-    # Furrows and plates: short strokes up the bark's surface.
+    # Furrows and plates: short vertical strokes on the bark.
     piece, turn = rng.integers(0, pieces, 900), rng.uniform(0.0, 2.0 * np.pi, 900)
     foot = path[piece] + np.column_stack([np.cos(turn), np.sin(turn), np.zeros(900)]) * (0.97 * thick[piece])[:, None]
     plate = np.outer(rng.uniform(0.003, 0.012, 900), (0.0, 0.0, 1.0))
@@ -276,19 +340,19 @@ def _stem(
 
 
 def _tinted(albedo: tuple[float, float, float], n: int, rng: np.random.Generator) -> np.ndarray:
-    """``n`` variants of a green: lighter or darker, yellower or bluer."""
+    """Return ``n`` random tints (n, 3) of an albedo: lighter or darker, yellower or bluer."""
     warm = rng.normal(0.0, 0.035, n)
     return np.array(albedo) * np.column_stack([1.0 + warm, np.ones(n), 1.0 - warm]) * rng.uniform(0.82, 1.18, (n, 1))
 
 
 def _shaded(tree: Strokes, radius: float) -> Strokes:
-    """The strokes' albedo darkened where little sky reaches into the crown, by Beer's law through the strokes' own density.
+    """Darken the strokes' albedo by ambient occlusion inside the crown (Beer's law through the strokes' own density).
 
-    Light that bounces between leaves is lost to a renderer that lights one flat picture; without this a crown has no depth.
+    A renderer that lights a flat picture has no interreflection between leaves. Without this shading a crown has no depth.
     """
     from scipy.ndimage import gaussian_filter
 
-    cells = 48  # an axis of the box
+    cells = 48  # grid cells per axis
     middle = 0.5 * (tree.start + tree.end)
     shape = np.array([2.0 * radius, 2.0 * radius, 1.0])
     cell = np.clip(((middle / shape + (0.5, 0.5, 0.0)) * cells).astype(int), 0, cells - 1)
@@ -303,14 +367,14 @@ def _shaded(tree: Strokes, radius: float) -> Strokes:
         path = np.flip(np.cumsum(np.flip(area, axis), axis), axis) if back else np.cumsum(area, axis)
         light += weight * np.exp(-0.9 * gaussian_filter(path - 0.5 * area, 0.7, mode="nearest") * cells**2 / face)
     open_sky = light[tuple(cell.T)][:, None]
-    # Leaves in the open are also a little yellower than those that grow in the shade.
+    # Leaves in the open are also slightly yellower than leaves in the shade.
     return replace(tree, albedo=tree.albedo * (0.36 + 1.15 * open_sky) * (1.0 + (open_sky - 0.5) * (0.14, 0.0, -0.14)))
 
 
 def _fitted(tree: Strokes, radius: float, size: int) -> Strokes:
-    """The tree scaled about its stem so that it fills its box, but for the outermost texels.
+    """Scale a tree about its stem to fill its bounding box except the border texels.
 
-    The few strokes that reach beyond the bulk of the others are left out.
+    The few outlying strokes (``OUTLIERS``) are removed.
     """
     ends, thick = np.stack([tree.start, tree.end]), tree.radius.T
     reach = np.hypot(ends[..., 0], ends[..., 1])
@@ -328,13 +392,13 @@ Corner = tuple[float, float]
 
 
 def _view(tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], low: Corner, high: Corner, size: int) -> np.ndarray:
-    """An orthographic picture: ``axes`` to the right and up, ``depth`` the axis towards the viewer and its sign."""
+    """Paint an orthographic view: ``axes`` to the right and up, ``depth`` the axis towards the viewer and its sign."""
     across, sign = [*axes, depth[0]], np.array([1.0, 1.0, depth[1]])
     start, end = tree.start[:, across] * sign, tree.end[:, across] * sign
     step = (np.array(high) - np.array(low)) / (size * SUPERSAMPLING)
-    thick = np.maximum(tree.radius, 0.45 * SUPERSAMPLING * step.min())  # nothing is thinner than a texel is narrow
+    thick = np.maximum(tree.radius, 0.45 * SUPERSAMPLING * step.min())  # no stroke is thinner than a texel
     front = np.maximum(start[:, 2], end[:, 2]) + thick.max(axis=1)
-    order = np.argsort(-front, kind="stable")  # from the front, so that most of what is hidden is passed over
+    order = np.argsort(-front, kind="stable")  # front to back, so that most hidden samples are skipped
     strokes = start[order], end[order], thick[order], front[order]
     seen = _nearest(*strokes, low[0], low[1], step[0], step[1], size * SUPERSAMPLING)
     return _texels(seen, tree.albedo[order], SUPERSAMPLING)
@@ -342,7 +406,7 @@ def _view(tree: Strokes, axes: tuple[int, int], depth: tuple[int, float], low: C
 
 @compiled
 def _nearest(start, end, radius, front, left, bottom, step_x, step_y, size):
-    """(size, size) index of the stroke nearest to the viewer in each sample, -1 where there is none; row 0 at the top."""
+    """Return the index int32 (size, size) of the nearest stroke at each sample, -1 for none. Row 0 is the top."""
     seen = np.full((size, size), -1, dtype=np.int32)
     nearest = np.full((size, size), -np.inf)
     for k in range(len(start)):
@@ -375,7 +439,7 @@ def _nearest(start, end, radius, front, left, bottom, step_x, step_y, size):
 
 @compiled
 def _texels(seen, albedo, samples):
-    """Mean albedo of what is seen in each texel of ``samples`` x ``samples``, and its share of the texel."""
+    """Return the mean albedo and the coverage (size, size, 4) of each texel of ``samples`` x ``samples`` samples."""
     size = len(seen) // samples
     rgba = np.zeros((size, size, 4))
     for i in range(size * samples):

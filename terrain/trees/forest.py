@@ -1,7 +1,7 @@
 """The trees of a level: stands from polygons, points and canopy rasters, planted on its ground.
 
-All about a tree but its place (height, crown, look ...) is drawn from a hash of the place, so that it is the same whatever
-else is in the files.
+A hash of a tree's position is the source of its random properties (height, crown, variant ...). So they do not depend on the other
+features of the files.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pyproj.crs import GeographicCRS, ProjectedCRS
 from pyproj.crs.coordinate_operation import LambertAzimuthalEqualAreaConversion
 from pyproj.exceptions import ProjError
 
-from skugga.terrain.errors import MISSING_VALUE, LevelError, SourceError
+from skugga.terrain.errors import LevelError, Problem, SourceError
 from skugga.terrain.geo.vectors import Features, attribute_names, numbers, read_features, vector_layer
 from skugga.terrain.geo.world import World, longitude_latitude_of, transformer
 from skugga.terrain.ground.elevation import Elevation
@@ -49,30 +49,39 @@ from skugga.terrain.trees.thinning import thinning_ranks
 from skugga.terrain.trees.trees import Trees
 
 MAX_TREES = 5_000_000
-"""Trees that a level may have."""
+"""Maximum number of trees in a level."""
 
 HEIGHT_M = (8.0, 18.0)
-"""Heights where a stand names none."""
+"""Default range of tree heights."""
 
 POINT_HEIGHTS = ("height", "Height", "HEIGHT", "height_m", "Height_m", "HEIGHT_M")
-"""The attributes that heights of points come from, the first that they have, where the level names nothing else."""
+"""Attributes searched for the heights of points, in this order, if the level names none."""
 
 USABLE_M = (0.1, 150.0)
-"""Heights and crowns of trees; rows of a file beyond them are left out."""
+"""Range of valid heights and crown diameters. Features outside of it are left out."""
 
 SAMPLES_A_SIDE, PLACES_A_SIDE = 1024, 64
-"""Of a canopy's cells: to tell which shares bear trees, and to compare their heights with the ground's."""
+"""Maximum side of a canopy's sample, cells: for the shares of height classes, and for the comparison with the ground's heights."""
 
 FARTHEST_M = 5e6
-"""Terrain that reaches farther than this from the anchor has no outline in the level's equal-area map."""
+"""Maximum distance of the terrain's border from the anchor for an outline in the level's equal-area map."""
 
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """Where trees are placed before they stand on the ground: a metric map of the level.
+    """The map in which stands are laid out before they are planted on the ground.
 
-    On the globe it is an equal-area map about the anchor, so that a density means the same everywhere; a flat world is its
-    own. ``unit_m`` is the metres of its unit; ``exaggeration`` multiplies the heights of the elevation.
+    On the globe it is an equal-area map about the anchor, so that a density means the same everywhere. A flat world uses the CRS of
+    its elevation.
+
+    Attributes
+    ----------
+    world
+        The level's world.
+    elevation
+        Its elevation.
+    exaggeration
+        Factor of the elevation's heights.
     """
 
     world: World
@@ -93,12 +102,12 @@ class Site:
 
     @property
     def unit_m(self) -> float:
-        """Metres of the map's unit."""
+        """Unit of the map in metres."""
         return self.world.metres_per_unit if self.world.flat else 1.0
 
     @cached_property
     def outline(self) -> shapely.Polygon | None:
-        """The terrain's outline with a small margin; ``None`` where it reaches too far round the globe to have one."""
+        """The terrain's outline in the map, with a small margin; ``None`` if it covers too much of the globe (``FARTHEST_M``)."""
         cells = border_cells(*self.elevation.shape)
         x, y = _moved(self.elevation.crs, self.crs, *self.elevation.xy(*cells))
         if not self.world.flat and not (np.hypot(x, y) < FARTHEST_M).all():
@@ -108,7 +117,7 @@ class Site:
         return border.buffer(margin) if border.is_valid else None
 
     def on_terrain(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates of the map in the elevation's CRS, NaN where there are none."""
+        """Transform map coordinates to the elevation's CRS; NaN where that is undefined."""
         x, y = _moved(self.crs, self.elevation.crs, x, y)
         there = np.isfinite(x) & np.isfinite(y)
         return np.where(there, x, np.nan), np.where(there, y, np.nan)
@@ -116,9 +125,24 @@ class Site:
 
 @dataclass(frozen=True, eq=False)
 class Stems:
-    """Trees of a stand, one row each: places in the site's map, heights, and crowns (``None``: as usual for the height),
-    ``room_m`` the most that a crown can be. ``notes`` say what was read, ``left_out`` what bears no tree, ``warnings`` what may be
-    wrong.
+    """The n trees of a stand before planting.
+
+    Attributes
+    ----------
+    places
+        Positions (n,) in the site's map.
+    height_m
+        Heights float64 (n,), metres.
+    crown_m
+        Crown diameters float64 (n,), metres; ``None``: usual for the height.
+    room_m
+        Upper bounds of crown diameters float64 (n,), metres; ``None``: no bounds.
+    notes
+        Notes on the file's content.
+    left_out
+        Text on features or cells without trees; empty if there are none.
+    warnings
+        Texts on probable mistakes in the file.
     """
 
     places: Places
@@ -140,7 +164,17 @@ class Stems:
 
 @dataclass(frozen=True, eq=False)
 class Planting:
-    """The trees of a level, ``None`` where there are none; what was read of their files, and what may be wrong, in words."""
+    """Result of planting.
+
+    Attributes
+    ----------
+    trees
+        The trees of a level; ``None`` without any.
+    notes
+        Texts on the content of the files.
+    warnings
+        Texts on probable mistakes in the files.
+    """
 
     trees: Trees | None
     notes: tuple[str, ...] = ()
@@ -150,10 +184,29 @@ class Planting:
 def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Planting:
     """Plant all trees of a level.
 
-    Trees stand on the ground's full resolution; those off the terrain, over holes or under water are left out. Stands of one
-    density and seed share their places, so that neighbours never collide; stands that overlap need seeds of their own. Raises
-    ``LevelError`` or ``SourceError`` where a stand's file or keys are wrong, a stand is wholly outside, or there are more than
-    ``MAX_TREES``.
+    Trees stand on the ground at full resolution. Trees off the terrain, over holes or under water are left out. Stands of the same
+    density and seed share one lattice of positions, so that neighbouring stands never collide. Overlapping stands need different
+    seeds.
+
+    Parameters
+    ----------
+    loaded
+        The level.
+    world
+        Its world.
+    elevation
+        Its elevation.
+
+    Returns
+    -------
+    The trees, with notes and warnings.
+
+    Raises
+    ------
+    LevelError
+        If a stand's keys are wrong, a stand is entirely off the terrain, or the level has more than ``MAX_TREES`` trees.
+    SourceError
+        If a stand's file is wrong.
     """
     site, stands, count = Site(world, elevation, loaded.level.terrain.exaggeration), [], 0
     notes: list[str] = []
@@ -176,7 +229,7 @@ def plant_trees(loaded: LoadedLevel, world: World, elevation: Elevation) -> Plan
 
 
 def _planted_words(stems: Stems, planted: int) -> list[str]:
-    """What came of a stand, in words."""
+    """Return the note on the numbers of planted and left out trees of a stand."""
     lost = len(stems.places) - planted
     off = [f"{lost} off the terrain, over its holes or under water"] if lost else []
     left_out = "; ".join([*off, *([stems.left_out] if stems.left_out else [])])
@@ -184,7 +237,7 @@ def _planted_words(stems: Stems, planted: int) -> list[str]:
 
 
 def _stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> Stems:
-    """The stems of a stand, by the kind of its file."""
+    """Return the stems of a stand from polygons, points or a canopy raster, by the type of its file."""
     named = list(dict.fromkeys(name for name in (spec.height, spec.crown) if isinstance(name, str)))
     try:
         layer = vector_layer(source, (0, 2), spec.layer)
@@ -194,31 +247,32 @@ def _stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> 
             raise
         return _canopy_stems(spec, source, where, site, most)
     if spec.least_height is not None:
-        raise LevelError(f"{where}.least_height", spec.least_height, "no least height: the source is no raster of canopy heights")
+        problem = Problem(f"'{spec.least_height}' needs a raster of canopy heights as the source")
+        raise LevelError(f"{where}.least_height", problem, "Remove the key")
     features = _parts(read)
     dimensions = shapely.get_dimensions(features.geometry)
     if (dimensions == 2).all():
         return replace(_polygon_stems(spec, features, where, site, most), notes=layer.notes)
     if (dimensions == 0).all():
         return replace(_point_stems(spec, features, where, site, most), notes=layer.notes)
-    found = "lines" if (dimensions == 1).any() else "both polygons and points"
-    raise SourceError(source, found, "only polygons, only points, or a raster of canopy heights")
+    found = "it has lines" if (dimensions == 1).any() else "it has both polygons and points"
+    raise SourceError(source, found, "Use only polygons, only points, or a raster of canopy heights")
 
 
 def _is_vector(source: str) -> bool:
-    """Whether GDAL reads vectors from a file. Raises ``SourceError`` if it reads no raster from it either."""
+    """Return whether GDAL reads a file as vectors. Raises ``SourceError`` if it reads neither vectors nor a raster."""
     try:
         attribute_names(source)
     except SourceError as error:
         if not is_raster(source):
-            raise SourceError(source, error.value, "polygons, points or a raster of canopy heights that GDAL reads") from None
+            raise SourceError(source, error.value, "Use polygons, points or a raster of canopy heights that GDAL reads") from None
         return False
     return True
 
 
 def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site, most: int) -> Stems:
     if spec.density is None:
-        raise LevelError(f"{where}.density", MISSING_VALUE, "trees per hectare: the source has polygons")
+        raise LevelError.missing(f"{where}.density", "Set the trees per hectare: the source has polygons")
     geometry, index = features.geometry, np.arange(len(features.geometry))
     if site.outline is not None:
         shapely.prepare(site.outline)
@@ -242,7 +296,8 @@ def _polygon_stems(spec: ForestSpec, features: Features, where: str, site: Site,
 
 def _point_stems(spec: ForestSpec, features: Features, where: str, site: Site, most: int) -> Stems:
     if spec.density is not None:
-        raise LevelError(f"{where}.density", spec.density, "no density: the source has points, each a tree")
+        problem = Problem(f"'{spec.density}' needs polygons, but the source has points, each a tree")
+        raise LevelError(f"{where}.density", problem, "Remove the key")
     x, y = shapely.get_x(features.geometry), shapely.get_y(features.geometry)
     on = np.flatnonzero(site.elevation.covers(*site.on_terrain(x, y)))
     if not len(on):
@@ -260,9 +315,10 @@ def _point_stems(spec: ForestSpec, features: Features, where: str, site: Site, m
 def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: int) -> Stems:
     for name in ("density", "height", "layer"):
         if getattr(spec, name) is not None:
-            raise LevelError(f"{where}.{name}", getattr(spec, name), f"no {name}: the source is a raster of canopy heights")
+            problem = Problem(f"'{getattr(spec, name)}' does not apply to a raster of canopy heights")
+            raise LevelError(f"{where}.{name}", problem, "Remove the key")
     if isinstance(spec.crown, str):
-        raise LevelError(f"{where}.crown", spec.crown, "[least, most] in metres: a raster has no attributes")
+        raise LevelError(f"{where}.crown", spec.crown, "a range [min, max] in metres (a raster has no attributes)")
     canopy, stands, count = Canopy(source), [], 0
     try:
         window = canopy.window(site.crs, site.outline)
@@ -277,7 +333,7 @@ def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: i
             stands.append(piece)
             count += len(piece.places)
             if count > most:
-                raise _too_many(where, count, most, "or more")
+                raise _too_many(where, count, most, "at least")
     finally:
         canopy.close()
     places, first = join_places([piece.places for piece in stands])
@@ -286,7 +342,7 @@ def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: i
     warnings = []
     if cells.is_mostly_giant:
         said_m = f"{GIANT_HEIGHT_M:g} m"
-        warnings.append(f"most of its cells with trees are higher than {said_m}: is the unit of its heights right?")
+        warnings.append(f"most of its cells with trees are higher than {said_m}. Check the unit of its heights.")
     return Stems(
         places, height, crown, MAX_CROWN_RATIO * room_m(places.x, places.y, site.unit_m),
         left_out=f"of its cells {said}" if (said := cells.left_out(canopy.least_m)) else "", warnings=tuple(warnings),
@@ -294,12 +350,15 @@ def _canopy_stems(spec: ForestSpec, source: str, where: str, site: Site, most: i
 
 
 def _look_at(canopy: Canopy, window: CellWindow, site: Site) -> CanopyCells:
-    """What a canopy's cells hold. Raises ``SourceError`` where none has a height, and for heights above the sea."""
+    """Check a canopy and return its cells' shares by height class.
+
+    Raises ``SourceError`` if all cells are nodata, or if the heights are above sea level instead of above ground.
+    """
     _, _, heights_m = canopy.sample(window, SAMPLES_A_SIDE)
     if np.isnan(heights_m).all():
         _, _, anywhere_m = canopy.sample(CellWindow(0, 0, canopy.rows, canopy.cols), SAMPLES_A_SIDE)
         if np.isnan(anywhere_m).all():
-            raise SourceError(canopy.name, "no height in any cell (all nodata)", "a raster with canopy heights")
+            raise SourceError(canopy.name, "no height in any cell (all nodata)", "Use a raster with canopy heights")
     row, col, some_m = canopy.sample(window, PLACES_A_SIDE)
     ground_m = site.elevation.ground_m(*site.on_terrain(*canopy.xy(site.crs, row, col)))
     check_above_ground(canopy.name, some_m, ground_m / site.exaggeration)
@@ -307,13 +366,19 @@ def _look_at(canopy: Canopy, window: CellWindow, site: Site) -> CanopyCells:
 
 
 def _least_height_m(cells: CanopyCells, window: CellWindow, cell_m: float, shrub_m2: float) -> float:
-    """The height from which a canopy is planted: with shrubs where they are most of it, and neither too small nor too many."""
+    """Return the default minimum height of trees, metres.
+
+    Shrubs count if the canopy is mostly shrubs, its cells are fine enough, and there are at most ``MAX_SHRUBS``.
+    """
     shrubs = cells.low * (window.row1 - window.row0) * (window.col1 - window.col0) * cell_m**2 / shrub_m2
     return SHRUB_HEIGHT_M if cells.is_low and cell_m <= COARSE_CELL_M and shrubs <= MAX_SHRUBS else TREE_HEIGHT_M
 
 
 def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
-    """Stems on the ground, with all that is drawn from their hashes."""
+    """Plant stems on the ground and draw their random properties from their hashes.
+
+    Raises ``LevelError`` if all are off the terrain.
+    """
     x, y = site.on_terrain(stems.places.x, stems.places.y)
     on = site.elevation.covers(x, y)
     if len(on) and not on.any():
@@ -335,14 +400,17 @@ def _planted(stems: Stems, species: Species, where: str, site: Site) -> Trees:
         crown_m=crown_m.astype(np.float32),
         turn_deg=(180.0 * shares(key, TURN)).astype(np.float32) % np.float32(180.0),
         variant=variant,
-        rank=np.zeros(len(key), np.float32),  # given to all stands together
+        rank=np.zeros(len(key), np.float32),  # set for all stands together
     )
 
 
 def _values(
     given: tuple[float, float] | str, features: Features | None, row: np.ndarray, key: np.ndarray, stream: int
 ) -> np.ndarray:
-    """Metres float64 (n,): from a range by the trees' hashes, or an attribute of their features (NaN where not usable)."""
+    """Return metres float64 (n,): random values in a range, or the values of an attribute (NaN where invalid).
+
+    Raises ``SourceError`` if the attribute has no valid value.
+    """
     if not isinstance(given, str):
         return given[0] + (given[1] - given[0]) * shares(key, stream)
     assert features is not None
@@ -350,7 +418,8 @@ def _values(
     with np.errstate(invalid="ignore"):
         usable = (values >= USABLE_M[0]) & (values <= USABLE_M[1])
     if not usable.any():
-        raise SourceError(features.name, f"{given} = {values[0]:g} ...", f"metres from {USABLE_M[0]} to {USABLE_M[1]:g}")
+        problem = f"the attribute {given} has no valid value ({values[0]:g} ...)"
+        raise SourceError(features.name, problem, f"Use metres from {USABLE_M[0]} to {USABLE_M[1]:g}")
     return np.where(usable, values, np.nan)[row]
 
 
@@ -362,7 +431,7 @@ def _usable(stems: Stems) -> Stems:
 
 
 def _parts(features: Features) -> Features:
-    """The same features, collections and multi-parts taken apart."""
+    """Split collections and multi-part geometries into single parts, without empty ones."""
     geometry, row = features.geometry, np.arange(len(features.geometry))
     while (shapely.get_type_id(geometry) > 3).any():
         geometry, index = shapely.get_parts(geometry, return_index=True)
@@ -376,12 +445,13 @@ def _moved(source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.n
 
 
 def _too_many(where: str, count: int, most: int, more: str = "") -> LevelError:
-    rest = "" if most == MAX_TREES else f", {most:,} of which are left for this stand"
-    return LevelError(where, " ".join(f"{count:,} trees {more}".split()), f"at most {MAX_TREES:,} trees in a level{rest}")
+    rest = "" if most == MAX_TREES else f" ({most:,} left for this stand)"
+    limit = f"{MAX_TREES:,} trees in a level{rest}"
+    return LevelError.over_limit(where, " ".join(f"{more} {count:,} trees".split()), limit, "Plant fewer trees")
 
 
 def _outside(where: str, bounds: np.ndarray, site: Site) -> LevelError:
-    """The error of a stand of which nothing is on the terrain; ``bounds`` in the site's map."""
+    """Return the error of a stand that is entirely off the terrain; ``bounds`` are those of the stand in the site's map."""
     crs = site.elevation.crs
     if site.crs != crs:
         try:
@@ -390,6 +460,5 @@ def _outside(where: str, bounds: np.ndarray, site: Site) -> LevelError:
         except ProjError:
             bounds = np.full(4, np.nan)
     stand, terrain = (", ".join(f"{v:.9g}" for v in b) for b in (bounds, site.elevation.bounds))
-    return LevelError(
-        f"{where}.source", f"trees at {stand}", f"trees on the terrain, at {terrain} (west, south, east, north; {crs.name})"
-    )
+    remedy = f"Use trees on the terrain, at {terrain} (west, south, east, north; {crs.name})"
+    return LevelError(f"{where}.source", Problem(f"its trees are off the terrain, at {stand}"), remedy)

@@ -1,4 +1,4 @@
-"""The pictures of trees kept on disk: to paint them takes a process most of a second, to read them a hundredth of that."""
+"""Disk cache of the pictures of trees. Painting takes a process most of a second, reading a hundredth of that."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from skugga.terrain.user_cache import arrays_kept_in, user_cache
 from skugga.terrain.whole_files import replaced_whole
 
 VERSIONS = np.__version__, version("scipy"), version("numba")
-"""Of the packages that paint: others may round otherwise."""
+"""Versions of the packages that the painter uses: others may round differently (part of the cache key)."""
 
 
 def kept_pictures(
     paint: Callable[[], tuple[np.ndarray, ...]], sources: tuple[Path, ...], folder: Path | None = None
 ) -> tuple[np.ndarray, ...]:
-    """What ``paint`` makes, from disk where it was painted before by the same ``sources``, files of code, and packages.
+    """Return the arrays that ``paint`` returns, from the disk cache if possible.
 
-    A folder that cannot be written, or a file that is damaged, is no error.
+    The cache key is the content of ``sources`` (code files) and the package versions. A read-only folder or a damaged file is no
+    error.
     """
     folder = folder or user_cache("foliage")
     digest = hashlib.blake2b(repr(VERSIONS).encode(), digest_size=20)

@@ -1,9 +1,9 @@
-"""Where the trees of a stand stand: one to each cell of a lattice that is counted from the CRS's origin.
+"""Positions of a stand's trees: a jittered lattice from the CRS's origin, with one tree in each cell.
 
-A tree's place follows from the seed and its cell's indices alone, never from the stand's outline or from what is looked at.
-Places are even over the cells, which leaves no trace of the lattice in the stand (M. A. Klatt, J. Kim, S. Torquato: Cloaking
-the underlying long-range order of randomly perturbed lattices, Phys. Rev. E 101, 2020), but for a least spacing: trees stand
-no nearer to each other than half a cell.
+- A tree's position depends on the seed and its cell's indices only, not on the stand's outline or the view.
+- Positions are uniform in their cells. A uniform jitter leaves no trace of the lattice in the stand (M. A. Klatt, J. Kim,
+  S. Torquato: Cloaking the underlying long-range order of randomly perturbed lattices, Phys. Rev. E 101, 2020).
+- The one exception is a minimum spacing of half a cell between trees.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ import shapely
 from skugga.terrain.compiled import compiled, internal
 
 LEAST_SPACING = 0.5
-"""Least distance between two trees, in cells. A cell's centre is that far from whatever stands in other cells."""
+"""Minimum distance between two trees, in cells. A cell's centre is at least as far from all trees in other cells."""
 
 HECTARE_M2 = 10_000.0
 
 _TRIES = 24
-"""Places tried in a cell before its centre is taken."""
+"""Random positions tried in a cell before its centre is used."""
 
 _TILE = 128
-"""Cells a side that are placed at a time."""
+"""Side of the tiles that are filled at a time, cells."""
 
 _HALO = 3
-"""How far a place can depend on other cells: a cell waits for neighbours of the three colours before its own."""
+"""Cells round a tile that its positions depend on: a cell follows its neighbours of up to three earlier colours."""
 
 _GOLDEN, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
@@ -36,7 +36,15 @@ _S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Places of n trees in a CRS, with a hash each that all else about the tree may be drawn from."""
+    """Positions of n trees.
+
+    Attributes
+    ----------
+    x, y
+        Coordinates float64 (n,) in a CRS.
+    key
+        Hash uint64 (n,) of each tree, the source of its other random properties.
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -47,28 +55,34 @@ class Places:
 
 
 def keys(seed: int, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """Hashes uint64 (n,) of pairs of integers."""
+    """Return the hashes uint64 (n,) of pairs of integers."""
     return _keys(seed, np.asarray(i, np.int64), np.asarray(j, np.int64))
 
 
 def point_keys(seed: int, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Hashes uint64 (n,) of points, the same for points of the same millimetre."""
+    """Return the hashes uint64 (n,) of points (metres), equal for points in the same millimetre."""
     return keys(seed, np.rint(np.asarray(x_m) * 1000.0), np.rint(np.asarray(y_m) * 1000.0))
 
 
 def shares(key: np.ndarray, stream: int) -> np.ndarray:
-    """Even, independent float64 (n,) in [0, 1), one for each hash and stream."""
+    """Return uniform random numbers float64 (n,) in [0, 1), independent for each hash and stream."""
     return _shares(key, stream)
 
 
 def scatter_trees(area: shapely.Polygon | shapely.MultiPolygon, density_per_ha: float, seed: int, unit_m: float = 1.0) -> Places:
-    """Trees of a density, on the average exact, in an area of a CRS whose unit is ``unit_m`` metres."""
+    """Return the positions of trees of a density in an area of a CRS with unit ``unit_m`` metres. The mean density is exact."""
     pitch = np.sqrt(HECTARE_M2 / density_per_ha) / unit_m
     return _gathered([places for part in shapely.get_parts(area) for places in _scattered(part, pitch, seed)])
 
 
 def join_places(sets: list[Places]) -> tuple[Places, np.ndarray]:
-    """Several sets of places as one, each tree once, in the order of their hashes, and where each was among all."""
+    """Join sets of positions, without duplicates and sorted by hash.
+
+    Returns
+    -------
+    places, first
+        The positions, and their indices in the concatenated sets.
+    """
     all_places = _gathered(sets)
     key, first = np.unique(all_places.key, return_index=True)
     return Places(all_places.x[first], all_places.y[first], key), first
@@ -100,7 +114,7 @@ def _scattered(area: shapely.Polygon, pitch: float, seed: int) -> Iterator[Place
 
 @internal
 def _mixed(x):
-    """splitmix64 (G. L. Steele, D. Lea, C. H. Flood: Fast splittable pseudorandom number generators, OOPSLA 2014)."""
+    """Return splitmix64 of x (G. L. Steele, D. Lea, C. H. Flood: Fast splittable pseudorandom number generators, OOPSLA 2014)."""
     x = x + _GOLDEN
     x = (x ^ (x >> _S30)) * _FIRST
     x = (x ^ (x >> _S27)) * _SECOND
@@ -109,7 +123,7 @@ def _mixed(x):
 
 @internal
 def pair_key(seed, i, j):
-    """Hash uint64 of a pair of integers, for compiled loops."""
+    """Return the hash uint64 of a pair of integers, for compiled loops."""
     return _mixed(_mixed(_mixed(np.uint64(seed)) ^ np.uint64(i)) ^ np.uint64(j))
 
 
@@ -136,10 +150,10 @@ def _shares(key, stream):
 
 @compiled
 def _placed(seed, row0, col0, rows, cols):
-    """x, y in cells and hashes of the trees of a window of cells, row by row.
+    """Return x, y (in cells) and hashes of the trees of a window of cells, row by row.
 
-    Cells are coloured like 2 x 2 tiles and placed colour by colour: each takes the first place drawn in it that is clear
-    of its neighbours of the colours before, else its centre.
+    Cells have four colours in a 2 x 2 pattern, and the loop fills them colour by colour. A cell uses its first random position that
+    keeps the minimum spacing to its neighbours of earlier colours, or else its centre.
     """
     high, wide = rows + 2 * _HALO, cols + 2 * _HALO
     xs, ys = np.full((high, wide), np.inf), np.full((high, wide), np.inf)

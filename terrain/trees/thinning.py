@@ -1,4 +1,4 @@
-"""The order in which a stand is thinned out: whatever share is kept, every part of the stand keeps it."""
+"""Thinning order of a stand (level of detail): for each share of trees, all parts of the stand keep that share."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from skugga.terrain.trees.scatter import pair_key
 
 
 def thinning_ranks(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-    """Ranks (n,) float32 in [0, 1) for trees at plane coordinates (n,): those below k are kept when a share k is.
+    """Return ranks float32 (n,) in [0, 1) for trees at plane coordinates (n,). A share k keeps the trees with ranks below k.
 
-    Trees are taken along a Z-order curve (G. M. Morton 1966), so that those that follow one another are neighbours. Of every
-    2^m trees in turn exactly one is kept at k = 2^-m, each as likely as the others and whatever is kept beside them: a net
-    scrambled in both of its coordinates (A. B. Owen, "Randomly permuted (t, m, s)-nets and (t, s)-sequences", 1995). Steps along
-    the curve that are any more even leave trees in lines, and then it hangs on the directions of sun and view how much shade is
-    thrown and seen.
+    - A Z-order curve (G. M. Morton 1966) sorts the trees, so that successive trees are neighbours.
+    - At k = 2^-m each run of 2^m successive trees keeps exactly one. Each tree is equally likely, independently of other runs: a
+      net scrambled in both of its coordinates (A. B. Owen, "Randomly permuted (t, m, s)-nets and (t, s)-sequences", 1995).
+    - More even steps along the curve would leave trees in lines. Then the amount of shade, cast and visible, would depend on the
+      directions of sun and view.
     """
     if not len(x_m):
         return np.zeros(0, np.float32)
@@ -30,8 +30,10 @@ def thinning_ranks(x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
 
 @compiled
 def _scrambled(count):
-    """Ranks (count,) float32 of numbers in turn: their binary digits in reverse, each turned over or not by a hash of the higher
-    digits of the number and of those of the rank before it. Up to 2^23 of them are exact, and so are below 1 and all different.
+    """Return ranks float32 (count,) of the numbers 0 to count - 1: a scrambled van der Corput sequence.
+
+    A rank has the binary digits of its number in reverse. A hash of the number's higher digits and the rank's preceding digits
+    decides whether to flip each digit. Up to 2^23 ranks are exact, so they are distinct and below 1.
     """
     digits = 0
     while 2**digits < count:
@@ -48,7 +50,7 @@ def _scrambled(count):
 
 @compiled
 def _morton(a, b):
-    """Numbers whose bits are those of a and b in turn (21 bits each)."""
+    """Return Morton codes uint64 (n,): the interleaved bits of a and b (21 bits each)."""
     out = np.zeros(a.size, np.uint64)
     for n in range(a.size):
         for bit in range(21):

@@ -1,4 +1,4 @@
-"""Trees as data: where each stands and how it looks, independent of any view."""
+"""Trees as data: positions, sizes and variants, independent of any view."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Trees:
-    """The trees of a scene, one row each; the same for a seed whatever is looked at.
+    """The n trees of a scene. They depend on the level and its seeds, not on the view.
 
     Attributes
     ----------
     base_earth_m
-        float64 (n, 3), the foot of the stem, earth-fixed metres.
+        float64 (n, 3), foot of the stem, earth-fixed metres.
     height_m, crown_m
-        float32 (n,), height and diameter of the crown.
+        float32 (n,), height of the tree and diameter of its crown, metres.
     turn_deg
-        float32 (n,), how the crossed quads are turned about the stem, counter-clockwise from east.
-    look
+        float32 (n,), rotation of the crossed quads about the stem, degrees counter-clockwise from east.
+    variant
         uint8 (n,), index into ``skugga.terrain.trees.foliage.TREE_VARIANTS``.
     rank
-        float32 (n,) in [0, 1): which trees a thinned stand keeps (those below the kept share); see
-        ``skugga.terrain.trees.thinning``.
+        float32 (n,) in [0, 1), thinning order: a thinned stand keeps the trees whose rank is below the kept share
+        (``skugga.terrain.trees.thinning``).
     """
 
     base_earth_m: np.ndarray
