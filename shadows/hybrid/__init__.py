@@ -1,1 +1,1 @@
-"""The hybrid: `hybrid`, a small map that decides where it provably can, and volumes where it cannot."""
+"""Algorithm `hybrid`: a small map decides pixels where it provably can, and shadow volumes decide the others."""

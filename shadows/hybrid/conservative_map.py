@@ -1,10 +1,14 @@
-"""The conservative map: what of a light's shadow is certain from a small map, whatever is thinner than its texels.
+"""Conservative shadow map: classifies points that a small map decides with certainty, even with casters thinner than its texels.
 
-The map of Chan and Durand (2004, An Efficient Hybrid Shadow Rendering Algorithm) knows depths at texel centres, and misses what
-lies between. This one knows bounds over whole texels: for each texel, the depths of casting triangles and silhouette edges, joined
-to disjoint runs. A run without an edge is *whole*, and covers each point of the texel by the same number of layers. So a point in
-front of all runs is lit, a point behind a whole run of one layer or more is in shadow, and what is not certain is masked: volumes
-decide. ``docs/conservative-map.md`` has the terms, the proof and the handling of rounding.
+The map of Chan and Durand (2004, An Efficient Hybrid Shadow Rendering Algorithm) samples depths at texel centres and misses casters
+between them. This map stores bounds over whole texels. A texel joins the depth intervals of casting triangles and silhouette edges
+into disjoint runs. A run without an edge is *whole*: it covers each point of the texel by the same number of layers.
+
+- A point in front of all runs is lit.
+- A point behind a whole run of one layer or more is in shadow.
+- All other points are masked: shadow volumes decide them.
+
+``docs/conservative-map.md`` defines the terms, proves this and treats rounding.
 """
 
 from __future__ import annotations
@@ -17,15 +21,21 @@ from skugga.shadows.hybrid.conservative_raster import certain_depths
 from skugga.terrain.compiled import compiled
 
 LIT, SHADED, MASKED = 255, 0, 128
-"""What `decide` says of a point."""
+"""Classes of points (`classify_points`)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConservativeMap:
-    """Depths (rows, cols) float64 from which on a map is certain, per texel.
+    """Depth bounds float64 (rows, cols) of the certain classes, per texel; infinite if a texel has no such bound.
 
-    ``nearest``: what lies before it is lit. ``nearest_other``: so is what lies before this and is itself on a casting triangle.
-    ``shaded_beyond``: what lies beyond it is in shadow. Infinite where there is no such depth.
+    Attributes
+    ----------
+    nearest
+        Points in front of it are lit.
+    nearest_other
+        Points on a casting triangle in front of it are lit.
+    shaded_beyond
+        Points behind it are in shadow.
     """
 
     nearest: np.ndarray
@@ -34,19 +44,19 @@ class ConservativeMap:
 
 
 def conservative_map(size: tuple[int, int], corners: np.ndarray, edges: np.ndarray) -> ConservativeMap:
-    """The map of casting triangles and of their silhouette edges.
+    """Return the conservative map of casting triangles and their silhouette edges.
 
     Parameters
     ----------
     size
         Columns and rows, texels.
     corners
-        Casting triangles (t, 3, 3) in (u, v, depth), finite: u from 0 to the columns and v from 0 to the rows over the map, at
-        most 4 million texels outside of it; depth linear in them, and greater farther from the light. What touches no texel is
-        left out.
+        Casting triangles (t, 3, 3) in (u, v, depth), finite. In the map u is in [0, columns] and v in [0, rows]; both may be up to
+        4 million texels outside. Depth is linear in u and v, and increases away from the light. Triangles that touch no texel are
+        ignored.
     edges
-        Silhouette edges (e, 2, 3) in the same coordinates: of each edge that does not cancel in the signed sum over the triangles,
-        the ends, exactly as they are in ``corners``.
+        Silhouette edges (e, 2, 3) in the same coordinates: the ends of each edge that does not cancel in the signed sum over the
+        triangles, bit-identical to those in ``corners``.
     """
     cols, rows = size
     corners, edges = np.ascontiguousarray(corners, float), np.ascontiguousarray(edges, float)
@@ -61,16 +71,18 @@ def classify_points(
     slack: float | np.ndarray,
     on_caster: bool | np.ndarray = False,
 ) -> np.ndarray:
-    """What a map knows of points: `LIT`, `SHADED` or `MASKED`, (n,) uint8.
+    """Classify points by a map: `LIT`, `SHADED` or `MASKED`, uint8 (n,).
 
     Parameters
     ----------
+    known
+        The map.
     u, v, depth
-        The points (n,), in the coordinates of the map. Those outside of it are masked.
+        The points (n,), in the coordinates of the map. Points outside of it are masked.
     slack
-        How far rounding may have moved depths, of the points as of the triangles, one for all or (n,).
+        Bound of the rounding error of depths of points and triangles: a number or (n,).
     on_caster
-        Whether the points lie on casting triangles of the map, for all or (n,).
+        Whether the points lie on casting triangles of the map: one value or (n,).
     """
     n = len(depth)
     slack, on_caster = np.broadcast_to(np.asarray(slack, float), n), np.broadcast_to(on_caster, n)
@@ -78,11 +90,11 @@ def classify_points(
 
 
 def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
-    """The parts (t', 3, 3) of triangles (t, 3, 3) of lamp space that lie at z >= z_near, going round the same way.
+    """Clip triangles (t, 3, 3) of lamp space at z >= z_near and return the parts (t', 3, 3) with the same winding.
 
-    The cuts bound what is left as silhouette edges do, but are none: nothing may cast from nearer to the lamp than
-    sqrt(1 + 2 tangent²) z_near, with the tangent of half the map's angle of view. Then cuts fall outside of the map, and
-    nothing that is cut off is missed in it.
+    The cuts bound the parts like silhouette edges, but need no edges. This requires that no caster is nearer to the lamp than
+    sqrt(1 + 2 tangent²) z_near, with the tangent of half the map's angle of view. Then all cuts fall outside of the map, and the
+    map misses no clipped part.
     """
     ahead = corners_lamp_m[..., 2] >= z_near_m
     number = ahead.sum(axis=1)
@@ -96,8 +108,9 @@ def clipped_triangles(corners_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray
 
 
 def clipped_edges(ends_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
-    """The parts (e', 2, 3) of edges (e, 2, 3) of lamp space that lie at z >= z_near, cut at the very points where
-    `clipped_triangles` cuts them.
+    """Clip edges (e, 2, 3) of lamp space at z >= z_near and return the parts (e', 2, 3).
+
+    The cut points are bit-identical to those of `clipped_triangles`.
     """
     ahead = ends_lamp_m[..., 2] >= z_near_m
     number = ahead.sum(axis=1)
@@ -107,14 +120,15 @@ def clipped_edges(ends_lamp_m: np.ndarray, z_near_m: float) -> np.ndarray:
 
 
 def _turned(corners: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corners (n, 3) of triangles in their order, from ``first`` (n,) on."""
+    """Return the three corners (n, 3) of triangles in their order, starting at index ``first`` (n,)."""
     n = np.arange(len(corners))
     return corners[n, first], corners[n, (first + 1) % 3], corners[n, (first + 2) % 3]
 
 
 def _cut(ahead: np.ndarray, behind: np.ndarray, z_near_m: float) -> np.ndarray:
-    """Where the ways (n, 3) from points ahead of the plane z = z_near to points behind it cross it: by the same arithmetic for
-    all that share an edge.
+    """Return the intersections (n, 3) of segments with the plane z = z_near, from points ahead of it to points behind it.
+
+    Triangles and edges use the same arithmetic, so shared edges have identical cuts.
     """
     share = (ahead[:, 2] - z_near_m) / (ahead[:, 2] - behind[:, 2])
     point = ahead + share[:, None] * (behind - ahead)

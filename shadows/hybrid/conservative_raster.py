@@ -1,7 +1,7 @@
-"""Rasterising triangles and edges into texels conservatively: whatever touches a texel at all is kept there, as runs of depth.
+"""Conservative rasterisation of triangles and edges: each texel that they touch stores their depths as runs.
 
-A run is a union of depth intervals that overlap or touch. A texel keeps its runs in the order of depth, disjoint; when there are
-more than `RUNS` of them, the two farthest become one (a coarser run is as true as two fine ones).
+A run is a union of depth intervals that overlap or touch. A texel keeps disjoint runs in the order of depth. If it has more than
+`MAX_DEPTH_RUNS`, the two farthest merge (a merged run is as correct as two separate ones, only less precise).
 """
 
 from __future__ import annotations
@@ -11,36 +11,36 @@ import numpy as np
 from skugga.terrain.compiled import compiled, internal
 
 MAX_DEPTH_RUNS = 3
-"""Runs of depth that a texel keeps."""
+"""Maximum number of runs of a texel."""
 
 MARGIN = 1.0 / 64.0
-"""Triangles touch a texel if they touch its square widened by this share of a texel: covers all rounding of coordinates."""
+"""Margin of a texel's square for triangles, in texels. It covers all rounding of coordinates."""
 
 EDGE_MARGIN = 2.0 * MARGIN
-"""The same for edges: a triangle that is taken to touch a widened square reaches well into the one of its edges."""
+"""Margin for edges: a triangle that touches its widened square reaches well into the wider square of its edges."""
 
 OPEN = 1e9
-"""Layers, at the least, of a run that an edge belongs to: how many there are depends on where one is in the texel."""
+"""Lower bound of the layers of a run with an edge: its number of layers varies over the texel."""
 
 THIN_TEXELS = 2.0**-14
-"""A triangle no thicker than this is drawn as its three edges: whether it covers a point is a matter of rounding."""
+"""Largest thickness, in texels, of triangles drawn as their three edges: rounding decides whether they cover a point."""
 
 THIN_SHARE = 2.0**-30
-"""So is one whose area is no larger than this share of the products that it is the difference of."""
+"""Largest area of such triangles as a share of the magnitudes of the products whose difference it is."""
 
 PROBE = (0.437, 0.613)
-"""Where a texel's layers are counted: inside, off the lattices and diagonals that meshes' edges tend to lie on."""
+"""Point of a texel where layers are counted: inside, off the lattices and diagonals where meshes tend to have edges."""
 
 PROBE_MARGIN = 2.0**-20
-"""A triangle this near the probe covers it, texels."""
+"""Distance to the probe, in texels, within which a triangle covers it."""
 
 DEPTH_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
-"""Bound of the rounding of a depth from a triangle's plane, as a share of its terms' magnitudes: 16 operations."""
+"""Bound of the rounding error of a depth on a triangle's plane, relative to its terms' magnitudes: 16 operations."""
 
 
 @compiled
 def certain_depths(cols, rows, corners, edges):
-    """What the runs of depth of texels tell.
+    """Rasterise triangles and edges and return the depth bounds of the certain classes.
 
     Parameters
     ----------
@@ -54,9 +54,11 @@ def certain_depths(cols, rows, corners, edges):
     Returns
     -------
     nearest, nearest_other, shaded_beyond
-        Depths (rows, cols) float64: the near bound of the first run; that of the second if the first is whole and of one layer,
-        else that of the first; and the far bound of the first run that is whole and of one layer or more. Infinite where there
-        is no such run.
+        Depths float64 (rows, cols), infinite if a texel has no such run:
+
+        - the near bound of the first run,
+        - the near bound of the second run if the first is whole and of one layer, otherwise of the first,
+        - the far bound of the first run that is whole and of one layer or more.
     """
     nearest = np.full((rows, cols), np.inf)
     nearest_other = np.full((rows, cols), np.inf)
@@ -83,8 +85,10 @@ def certain_depths(cols, rows, corners, edges):
 
 @internal
 def _draw_triangle(runs, counts, corners):
-    """Add a triangle's interval of depth to each texel that it touches: the extremes of its plane over the texel's square,
-    limited to the extremes of its corners. A run's layers are the triangles that cover the probe.
+    """Add a triangle's depth interval to each texel that it touches.
+
+    The interval holds the extremes of its plane over the texel's square, limited to the extremes of its corners. It adds a layer if
+    the triangle covers the probe.
     """
     rows, cols = counts.shape
     a, b, c = corners[0], corners[1], corners[2]
@@ -121,7 +125,7 @@ def _draw_triangle(runs, counts, corners):
 
 @internal
 def _draw_edge(runs, counts, a, b):
-    """Add an edge's interval of depth to each texel that it touches; a run that it belongs to is open."""
+    """Add an edge's depth interval to each texel that it touches. Its run becomes open (`OPEN` layers or more)."""
     rows, cols = counts.shape
     v_min, v_max = min(a[1], b[1]), max(a[1], b[1])
     if v_max < -EDGE_MARGIN or v_min > rows + EDGE_MARGIN:
@@ -143,7 +147,7 @@ def _draw_edge(runs, counts, a, b):
 
 @internal
 def _insert(runs, count, near, far, layers):
-    """Add an interval to a texel's runs, joined with those that it overlaps or touches; gives their new number."""
+    """Insert an interval into a texel's runs, merged with the runs that it overlaps or touches. Return the new number of runs."""
     first = 0
     while first < count and runs[first, 1] < near:
         first += 1
@@ -170,9 +174,9 @@ def _insert(runs, count, near, far, layers):
 
 @internal
 def _span(corners, low, high):
-    """Least and greatest u of the part of a triangle whose v is in [low, high]; inf and -inf where there is none.
+    """Return the minimum and maximum u of the part of a triangle with v in [low, high]; inf and -inf if it is empty.
 
-    The part is convex, so that it meets exactly the squares of the row between these.
+    The part is convex, so it meets exactly the squares of the row between these bounds.
     """
     least, greatest = np.inf, -np.inf
     for k in range(3):
@@ -187,7 +191,7 @@ def _span(corners, low, high):
 
 @internal
 def _part(a, b, low, high, start, stop):
-    """The part [start, stop] of the way from a to b, cut to where low <= value <= high; start > stop where it is empty."""
+    """Clip the parameter interval [start, stop] of the segment from a to b to low <= value <= high; start > stop if empty."""
     if a == b:
         return (start, stop) if low <= a <= high else (1.0, 0.0)
     at_low, at_high = (low - a) / (b - a), (high - a) / (b - a)
@@ -196,5 +200,5 @@ def _part(a, b, low, high, start, stop):
 
 @internal
 def _texels(low, high, size):
-    """First texel and the one past the last of those, among ``size``, that [low, high] meets."""
+    """Return the range (first, last + 1) of the texels, among ``size``, that [low, high] meets."""
     return int(np.floor(max(0.0, min(float(size), low)))), int(np.floor(max(-1.0, min(size - 1.0, high)))) + 1

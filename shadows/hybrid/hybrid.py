@@ -1,12 +1,16 @@
-"""`hybrid`: a small map decides where it can, and shadow volumes where it cannot (E. Chan and F. Durand, An Efficient Hybrid Shadow
-Rendering Algorithm, Eurographics Symposium on Rendering 2004).
+"""`hybrid`: a small shadow map decides pixels where it can, and shadow volumes decide the others.
 
-Volumes are drawn only in rectangles of tiles that hold marked pixels (``skugga.shadows.volumes.tiles``), which saves their time,
-and count only in marked pixels, by a bit of the stencil, which makes that exact.
+Source: E. Chan and F. Durand, An Efficient Hybrid Shadow Rendering Algorithm, Eurographics Symposium on Rendering 2004.
 
-**Mask.** ``original`` is the paper's: a pixel is marked if the comparisons with the two by two texels round it disagree. What is
-thinner than a texel may lie between the texels' centres, and is missed. ``conservative`` marks every pixel but those of which
-``docs/conservative-map.md`` proves that volumes would say what the map says: no caster is too thin for it.
+Volumes are drawn only in rectangles of tiles with marked pixels (``skugga.shadows.volumes.tiles``), which saves time. A stencil bit
+limits counting to marked pixels, which makes the restriction exact.
+
+The setting ``mask`` selects the marked pixels:
+
+- ``original`` is the paper's: a pixel is marked if the comparisons with the 2 x 2 texels round it disagree. It misses casters that
+  are thinner than a texel and lie between texel centres.
+- ``conservative`` marks all pixels except those where ``docs/conservative-map.md`` proves that map and volumes agree. It misses no
+  caster, however thin.
 """
 
 from __future__ import annotations
@@ -47,9 +51,9 @@ def fill(
     settings: HybridSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Visibility of a light (rows, cols), float32, 0 or 1, for a buffer's points past some kinds of casters.
+    """Return the visibility of a light, float32 (rows, cols), 0 or 1, for a buffer's points with some kinds of casters.
 
-    Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
+    The value is undefined off the surface and in attached shadow. Raises ``GraphicsError``.
     """
     passes = log.named(light, kinds, PASSES)
     light_frame = np.array(scene.light_position(light, buffer.frame))
@@ -84,7 +88,7 @@ def _compared(
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
-    """What a map says of points by comparing them with two by two texels; samples of pixels are left to the volumes."""
+    """Classify points by comparison with 2 x 2 texels. Supersamples (rows after the view's) are masked: volumes decide them."""
     map_settings = settings.map
     if isinstance(map_settings, ShadowMapSettings):
         maps = sun_maps(buffer, scene, map_settings, None)
@@ -114,7 +118,7 @@ ALGORITHM = Algorithm(
     passes=PASSES,
     refuses={
         **NO_VOLUME,
-        "area light": "its map leaves pixels at hard edges to volumes, and a penumbra has none: shadow_volume can",
+        "area light": "its map leaves pixels at hard edges to volumes, and a penumbra has no hard edge (shadow_volume serves it)",
     },
     layers=("shadow-map", "stencil", "silhouettes", "volumes"),
     settings=(HybridSettings,),

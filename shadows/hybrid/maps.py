@@ -1,4 +1,4 @@
-"""The conservative maps of the hybrid, as a light sees the points of a buffer and what casts on them."""
+"""The hybrid's conservative maps: light-space windows round a buffer's points, and the classification of the points."""
 
 from __future__ import annotations
 
@@ -27,19 +27,37 @@ from skugga.terrain.level.level import SUN, CasterKind
 from skugga.terrain.scene import Scene
 
 HYBRID_BORDER_TEXELS = 1
-"""Texels round the points, so that none lies on the rim."""
+"""Border of texels round the points, so that no point lies at the edge of the map."""
 
 NEAR_SHARE = 1e-6
-"""What is nearer to a lamp than this share of the nearest point's distance along the map's axis is taken for casting on nothing."""
+"""Near plane of a lamp, as a share of the nearest point's distance along the map's axis. Nearer casters are ignored."""
 
 FINEST_ERRORS = 256.0
-"""Texels are never less than so many times what float32 makes of a caster's place: their margin is a share of them."""
+"""Minimum texel size, in float32 rounding errors of a caster's position: the margin of a texel is a share of its size."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Window:
-    """A face of a light's map: the points that are its (flat indices) with their texel coordinates and depths (n,), how much depth
-    may be off, and what takes frame points to the light's axes and these to texels: ``(at - first) / texel``.
+    """A face of a light's map, and the points in it.
+
+    Attributes
+    ----------
+    pixels
+        Flat indices (n,) of the points.
+    u, v, depth
+        Their texel coordinates and depths (n,).
+    slack
+        Bound of the rounding error of depths: a number or (n,).
+    rotation, translation
+        Transform (3, 3), (3,) from frame points to the light's axes.
+    lamp
+        Whether the light is a lamp, with perspective projection.
+    near_m
+        Near plane of a lamp, metres; 0 for the sun.
+    first, texel
+        Origin and texel size (2,) of the map in the light's axes: texels are ``(at - first) / texel``.
+    size
+        Columns and rows, texels.
     """
 
     pixels: np.ndarray
@@ -57,7 +75,7 @@ class _Window:
 
     @property
     def key(self) -> Hashable:
-        """All that the map's content goes by, besides what casts."""
+        """Cache key of the map's content, apart from the casters."""
         arrays = (self.rotation, self.translation, self.first, self.texel)
         return self.lamp, self.near_m, self.size, tuple(float(v) for array in arrays for v in array.ravel())
 
@@ -76,7 +94,7 @@ def classify_pixels(
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
-    """What the maps say of points that are ``wanted``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
+    """Classify the points in the mask ``wanted``: LIT, SHADED or MASKED, uint8 (rows, cols); LIT elsewhere."""
     verdict, casting = np.full(wanted.shape, LIT, np.uint8), _on_casters(buffer, scene, light, kinds, wanted)
     with log.run(passes[1]), log.run(passes[2]):
         windows = [*_windows(buffer, scene, light, map_size, wanted)]
@@ -94,8 +112,10 @@ def classify_pixels(
 
 
 def _on_casters(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...], wanted: np.ndarray) -> np.ndarray:
-    """Where a buffer's points, flat, lie on triangles that certainly cast, bool (n,): on meshes that nothing stands in for, on
-    faces turned to the light. (Backs that are seen have the normal of a face; ground casts by triangles that are turned away.)
+    """Return the mask (n,) of a buffer's flattened points that certainly lie on casting triangles.
+
+    These are points on front faces, as seen from the light, of meshes without simplified casters. Visible back faces have the
+    normal of a front face, so the test uses the corners. Ground casts by its back faces, so it is excluded.
     """
     solids, out = scene.objects.solids, np.zeros(wanted.size, bool)
     if solids is None or "meshes" not in kinds or solids.caster_triangles is not solids.triangles:
@@ -111,7 +131,10 @@ def _on_casters(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[C
 def map_pictures(
     buffer: GeometryBuffer, scene: Scene, light: str, volumes: list[Volumes], map_size: int, wanted: np.ndarray
 ) -> np.ndarray:
-    """The maps' least depths, from 0 (nearest to the light) to 1 (nothing casts), side by side; the light's up is at the top."""
+    """Return the maps' nearest depths as pictures side by side: 0 is nearest to the light, 1 has no caster.
+
+    The light's up direction is at the top.
+    """
     arrays = []
     for window in _windows(buffer, scene, light, map_size, wanted):
         nearest = _map(window, volumes)[0].nearest
@@ -123,7 +146,7 @@ def map_pictures(
 
 
 def _map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool]:
-    """The map of a window, and whether it was kept from before."""
+    """Return the map of a window, and whether it comes from the cache."""
     conservative = _kept.get(window.key, *volumes)
     if not isinstance(conservative, Missing):
         return conservative, True
@@ -136,7 +159,7 @@ def _map(window: _Window, volumes: list[Volumes]) -> tuple[ConservativeMap, bool
 
 
 def _in_texels(window: _Window, points: np.ndarray, clipped: Callable[[np.ndarray, float], np.ndarray]) -> np.ndarray:
-    """Triangles or edges (n, k, 4) of volumes in texels and depth (m, k, 3), a lamp's clipped at its near plane."""
+    """Transform triangles or edges (n, k, 4) of volumes to texels and depth (m, k, 3), clipped at a lamp's near plane."""
     in_light = points[..., :3].astype(np.float64) @ window.rotation.T + window.translation
     if window.lamp:
         in_light = _projected(clipped(in_light, window.near_m))
@@ -144,12 +167,12 @@ def _in_texels(window: _Window, points: np.ndarray, clipped: Callable[[np.ndarra
 
 
 def _projected(points: np.ndarray) -> np.ndarray:
-    """Points (..., 3) before a lamp as tangents and a depth that is linear over them."""
+    """Project points (..., 3) in front of a lamp to tangents and a depth that is linear in them."""
     return np.concatenate([points[..., :2] / points[..., 2:], -1.0 / points[..., 2:]], axis=-1)
 
 
 def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wanted: np.ndarray) -> Iterator[_Window]:
-    """The faces of a light's map that see any of the points."""
+    """Yield the faces of a light's map that contain any points."""
     pixels, points = np.flatnonzero(wanted), buffer.position_frame_m.reshape(-1, 3)
     if light == SUN:
         assert scene.light is not None
@@ -189,8 +212,9 @@ def _windows(buffer: GeometryBuffer, scene: Scene, light: str, map_size: int, wa
 
 @compiled
 def _in_light(points, pixels, rotation, translation, lamp):
-    """Some of points (m, 3) in a light's axes, a lamp's projected: x, y and depth (n,), their bounds (3,), and the largest
-    coordinate of the points themselves.
+    """Transform points (m, 3) of given indices to a light's axes, with projection for a lamp.
+
+    Returns x, y and depth (n,), their lower and upper bounds (3,), and the largest absolute coordinate of the points in the frame.
     """
     n = len(pixels)
     x, y, depth = np.empty(n), np.empty(n), np.empty(n)

@@ -1,4 +1,4 @@
-"""Settings of the hybrid, and what they are resolved from."""
+"""Settings of the hybrid and their resolution."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from skugga.shadows.maps.settings import LampMapSettings, ShadowMapSettings
 from skugga.shadows.volumes.settings import StencilSettings, stencil_settings
 
 HYBRID_TEXELS = 768
-"""Texels a side of a hybrid's map, unless the level says otherwise: it need not be fine, since volumes decide at edges."""
+"""Default size of a hybrid's map, texels a side. A small map suffices, since volumes decide at edges."""
 
 
 class HybridSettings(StencilSettings):
-    """Settings of the hybrid: its map, how the pixels are found in which volumes decide (``original``: Chan and Durand's
-    comparison of two by two texels), and those of its volumes.
+    """Settings of the hybrid: those of its map and its volumes, and the ``mask`` of pixels that volumes decide.
+
+    ``original`` is Chan and Durand's comparison of 2 x 2 texels.
     """
 
     map: ShadowMapSettings | LampMapSettings
@@ -23,17 +24,17 @@ class HybridSettings(StencilSettings):
 
     @property
     def asked_as(self) -> dict[str, Any]:
-        """The same as a level's ``shadows`` would ask for them, those of the map among them."""
+        """The settings as keys and values of a level's ``shadows``, those of the map included."""
         return super().asked_as | self.map.asked_as
 
     @property
     def label(self) -> list[str]:
-        """Texels a side, how pixels are marked, and what is not as it is by itself."""
+        """Texels a side, the mask, and the settings that differ from their defaults."""
         return [str(self.map.map_size), self.mask, *self.changed("mask")]
 
 
 def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:
-    """Settings of the hybrid under a light, and the reasons for what was left to choose."""
+    """Return the hybrid's settings under a light, and the reasons for those resolved from ``auto``."""
     asked = request.shadows
     size = HYBRID_TEXELS if asked.map_size == "auto" else asked.map_size
     wish = asked.model_copy(update={"map_size": size, "cascades": 1, "filter": 2, "bias": "normal_offset", "culling": "none"})
@@ -41,7 +42,7 @@ def resolve_hybrid(request: SettingsRequest) -> ResolvedSettings:
     mask = "conservative" if asked.mask == "auto" else asked.mask
     reasons = request.without_filter("hybrid")
     if asked.map_size == "auto":
-        reasons.append(Reasoned(name=f"map_size {size}", reason="small map: shadow volumes decide where it cannot"))
+        reasons.append(Reasoned(name=f"map_size {size}", reason="a small map: shadow volumes decide where it cannot"))
     if asked.mask == "auto":
         reasons.append(Reasoned(name=f"mask {mask}", reason="the map decides only pixels where it is provably right"))
     return HybridSettings(map=settings, mask=mask, **stencil_settings(asked)), reasons

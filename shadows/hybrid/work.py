@@ -1,4 +1,4 @@
-"""The work of the hybrid: that of its map, of the comparison that marks pixels, and of its volumes in these."""
+"""Cost model input of the hybrid: the work of its map, of the mask, and of its volumes in marked pixels."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from skugga.shadows.work import Work, Workload
 from skugga.terrain.facts.fact_types import TEXEL_LADDER_PX
 
 FINEST_SHARE = 256.0 * POSITION_ERROR
-"""A texel of a hybrid's map is never less than so large a share of how far what is seen reaches."""
+"""Minimum texel size of a hybrid's map, as a share of the extent of the visible points (``FINEST_ERRORS`` rounding errors)."""
 
 
 def hybrid_work(task: Workload, settings: HybridSettings) -> Work:
-    """Of the hybrid."""
+    """Return the hybrid's work for a picture, as amounts by unit of each pass."""
     texel_px, size = _texel_px(task, settings.map.map_size)
     counting = {
         task.by_view("silhouettes"): silhouette_counts(task),
@@ -37,7 +37,7 @@ def hybrid_work(task: Workload, settings: HybridSettings) -> Work:
 
 
 def _texel_px(task: Workload, map_size: int) -> tuple[float, float]:
-    """A texel of a hybrid's one map in pixels, and texels a side."""
+    """Return the size of a map's texel in pixels, and the number of texels a side."""
     across_m = np.sqrt(task.seen_light_m2)
     far_m = max((band.far_m for band in task.descriptor.bands), default=across_m)
     texel_m = max(across_m / map_size, FINEST_SHARE * far_m / 2.0)
@@ -45,7 +45,7 @@ def _texel_px(task: Workload, map_size: int) -> tuple[float, float]:
 
 
 def _uncertain(task: Workload, side_px: float) -> float:
-    """The share of the picture within squares of a side, pixels, that a shadow's edge passes through; 1 where nothing is known."""
+    """Return the share of the picture in squares of a side (pixels) with a shadow edge; 1 without facts on casters."""
     if not task.facts.casts:
         return 1.0
     ladder = np.log2(TEXEL_LADDER_PX)

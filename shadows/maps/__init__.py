@@ -1,1 +1,1 @@
-"""Depth maps: `shadow_map` and `perspective_shadow_map`; where their maps lie, how they are drawn and looked up."""
+"""Depth maps: `shadow_map` and `perspective_shadow_map`, their windows, their drawing and their look-ups."""

@@ -1,4 +1,4 @@
-"""Drawing a depth map: everything that casts, as a light sees it."""
+"""Draw a depth map: all casters as a light sees them."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ MapSettings = ShadowMapSettings | LampMapSettings | PerspectiveMapSettings
 M = TypeVar("M")
 
 ROOM_TEXELS = 512
-"""Textures of larger maps have sides that are multiples of this."""
+"""Sides of textures of larger maps are multiples of this."""
 
 POLYGON_OFFSET = 1.1, 4.0
-"""Factor of the slope and units of the smallest step that ``polygon_offset`` moves depths by: those of Cesium and QGIS."""
+"""Factor of the slope and units of the smallest step by which ``polygon_offset`` shifts depths: the values of Cesium and QGIS."""
 
 
 def draw_map(
@@ -49,13 +49,14 @@ def draw_map(
     settings: MapSettings,
     record: PassRecord,
 ) -> Framebuffer:
-    """Draw a map, unless it is still there as it was drawn before; returns its depth-only framebuffer.
+    """Draw a map, or take it from the cache, and return its depth-only framebuffer.
 
-    Its content lasts until the next map but one is drawn; a block's, which is not kept, until the next one.
+    Its content lasts until the next map but one is drawn. The content of a block's map, which is not cached, lasts until the next
+    one.
     """
     meshes = caster_meshes(scene, buffer, kinds)
     trees = _trees_drawn(drawn, buffer, settings.filter == "sun")
-    # A block's sheets are made anew for every picture of it, and the pictures are kept instead.
+    # A block's sheets are made for every picture of it, so its pictures are cached instead.
     content = None if isinstance(buffer.view, MapView) else _content(drawn, settings, meshes, trees)
     kept = None if content is None else gl.depth_targets.kept(content)
     if kept is not None:
@@ -103,8 +104,9 @@ def draw_map(
 
 
 def drawn_ahead(maps: Sequence[M], draw: Callable[[M], Framebuffer]) -> Iterator[tuple[M, Framebuffer]]:
-    """Maps and what ``draw`` makes of each: the next one is drawn before one is handed out, so that a device that works by itself
-    goes on while it is read and looked up.
+    """Yield maps with the framebuffers that ``draw`` returns, drawing one map ahead.
+
+    The next map is drawn before a map is yielded. An asynchronous device then works while the map is read and sampled.
     """
     ahead = [draw(each) for each in maps[:1]]
     for number, each in enumerate(maps):
@@ -113,18 +115,24 @@ def drawn_ahead(maps: Sequence[M], draw: Callable[[M], Framebuffer]) -> Iterator
 
 
 def depths(gl: Device, drawn: DepthMap, target: Framebuffer) -> np.ndarray:
-    """A map as drawn, (rows, cols) float32: 0 nearest to the light, 1 where nothing casts; the light's up is at the top."""
+    """Return a map as drawn, (rows, cols) float32: 0 nearest to the light, 1 where nothing casts.
+
+    The light's up is the upper row.
+    """
     texels = gl.read(target, -1, size=drawn.texture_size)
     return texels if drawn.uniforms["lamp"] else texels[::-1]
 
 
 def _with_room(side: int) -> int:
-    """A side of the texture that a map is drawn in: maps that follow a camera or the sun differ a little, and share one."""
+    """Return a side of the texture in which a map is drawn.
+
+    The sizes of maps that follow a camera or the sun differ a little. Rounding lets them share a texture.
+    """
     return min(-(-side // ROOM_TEXELS) * ROOM_TEXELS, device().max_size) if side > ROOM_TEXELS else side
 
 
 def _culled(meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], culling: Culling) -> list[tuple[Mesh, bool]]:
-    """What stands for meshes and ground, each with whether faces towards the light are left out: those of closed bodies alone."""
+    """Return the meshes and ground to draw, each with whether its front faces are culled: those of closed bodies alone."""
     if culling == "none" or "meshes" not in kinds or scene.objects.solids is None:
         return [(mesh, False) for mesh in meshes]
     *ground, (vertices, triangles) = meshes
@@ -133,12 +141,15 @@ def _culled(meshes: list[Mesh], scene: Scene, kinds: tuple[CasterKind, ...], cul
 
 
 def _is_mirrored(drawn: DepthMap) -> bool:
-    """Whether corners that go round counter-clockwise, as seen from the light, do so clockwise in the map."""
+    """Return whether corners counter-clockwise as seen from the light are clockwise in the map."""
     return bool(np.linalg.det(np.array(drawn.uniforms["light_from_frame"]).reshape(3, 3)) > 0.0)
 
 
 def _content(drawn: DepthMap, settings: MapSettings, meshes: list[Mesh], trees: TreeInstances | None) -> Hashable:
-    """All that the drawing of a map reads: numbers by value, geometry, which never changes, by being the same arrays."""
+    """Return the cache key of a map: all that its drawing reads.
+
+    Numbers count by value, and immutable geometry by array identity.
+    """
     all_trees = [] if drawn.trees is None else [drawn.trees]
     geometry = tuple(IdentityKey(part) for part in (*(array for mesh in meshes for array in mesh), *all_trees))
     some = None if trees is None or trees is drawn.trees else sha256(trees.number.tobytes()).digest()
@@ -146,13 +157,13 @@ def _content(drawn: DepthMap, settings: MapSettings, meshes: list[Mesh], trees: 
 
 
 def _trees_drawn(drawn: DepthMap, buffer: GeometryBuffer, soft: bool) -> TreeInstances | None:
-    """A map's trees, but for those that shade nothing of what is seen."""
+    """Return a map's trees, without those that shade no visible point."""
     if drawn.trees is None or drawn.reach is None:
         return drawn.trees
     return drawn.trees.some(trees_that_matter(drawn, buffer, soft))
 
 
 def _turned(uniforms: dict[str, Any], face: np.ndarray) -> dict[str, Any]:
-    """A lamp's rotation and offset, turned to one of its faces."""
+    """Return a lamp's rotation and offset, turned to one of its faces."""
     rotation = face @ np.array(uniforms["light_from_frame"]).reshape(3, 3).T
     return {"light_from_frame": tuple(rotation.T.ravel()), "light_offset_m": tuple(face @ np.array(uniforms["light_offset_m"]))}

@@ -1,4 +1,4 @@
-"""Visibility by depth maps: each is drawn, and its points are looked up."""
+"""Visibility by depth maps: draw each map and sample it at its points."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def visibility_by_maps(
     Parameters
     ----------
     maps
-        The maps to draw. Without any, everything is lit, and the second pass is put on record without work.
+        The maps to draw. Without any, all points are lit, and the second pass is recorded without work.
     buffer, scene, light, kinds, casters, settings, log
         As in ``Fill``.
     passes
-        The names of the pass that draws and of the pass that looks up.
+        The names of the drawing pass and of the look-up pass.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def visibility_by_maps(
     Raises
     ------
     GraphicsError
-        Where OpenGL fails.
+        OpenGL fails.
     """
     draw_pass, look_up_pass = passes
     visibility = np.ones(buffer.there.shape, np.float32)

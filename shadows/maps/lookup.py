@@ -1,4 +1,4 @@
-"""Looking points up in a depth map."""
+"""Look points up in a depth map."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from moderngl import Framebuffer, Program
 
 LOOK_COLS, LOOK_ROWS = 2048, 384
-"""Points of a perspective view that are looked up side by side, and one below the other: 50 MB of textures."""
+"""Columns and rows of the textures in which points of a perspective view are looked up: 50 MB."""
 
 FEW = 0.5
-"""Share of a map's pixels that show a surface below which only these are looked up, one after another."""
+"""Threshold of the valid share of a map's pixels below which only valid pixels are gathered and looked up."""
 
 TINY = np.float32(1e-9)
 
@@ -39,10 +39,10 @@ MAP_UNIT = 5
 """Texture unit of the depth map."""
 
 LEAST_UNIT = 6
-"""Texture unit of the least depths of its blocks."""
+"""Texture unit of the minimum depths of its blocks."""
 
 POINT_LOOKUP = "shadows/maps/point_lookup"
-"""What the loop over a perspective view's points is called on record."""
+"""Label in the record of the loop over a perspective view's points."""
 
 
 def look_up(
@@ -55,7 +55,7 @@ def look_up(
     visibility: np.ndarray,
     record: PassRecord,
 ) -> None:
-    """Fill in the visibility (rows, cols) of the points that are a map's; ``light_frame`` is whose map it is."""
+    """Fill the visibility (rows, cols) of a map's points. ``light_frame`` is the position of the light whose map it is."""
     view, window, corners = buffer.view, buffer.surface, buffer.corners_frame_m
     with _least_depths(gl, drawn, target, settings):
         if isinstance(view, MapView) and buffer.columns is not None:
@@ -69,7 +69,7 @@ def look_up(
         facets = facing_normals(buffer, light_frame)
         if isinstance(view, MapView) and window is not None:
             rows, cols = buffer.there.shape
-            # what was lifted lies on none of the triangles round its node: a crease below 0 says so
+            # a lifted point lies on none of the triangles around its node; a negative crease marks it
             crease = facets.crease if buffer.lifted is None else np.where(buffer.lifted, -facets.crease - TINY, facets.crease)
             facing = np.concatenate([facets.normal_frame, crease[..., None]], axis=-1)
             chosen = np.flatnonzero(buffer.there)
@@ -87,12 +87,12 @@ def look_up(
             arrays.insert(2, _nodes(window.sheet))
             lit = _drawn_pixels(gl, program, arrays, target, drawn, record)
             visibility.ravel()[chosen] = lit.ravel()[: chosen.size] if known["placed"] else lit.ravel()[chosen]
-            visibility[facets.blocked] = 0.0  # a map need not tell what lies nearer than its texels
+            visibility[facets.blocked] = 0.0  # a map may miss occluders nearer than a texel
             return
         assert corners is not None and drawn.pixels is not None
         pixel_count = visibility.size if buffer.samples_from is None else buffer.samples_from * visibility.shape[1]
         split = int(np.searchsorted(drawn.pixels, pixel_count))
-        sample_filter = "sun" if settings.filter == "sun" else 1  # samples are averaged as it is
+        sample_filter = "sun" if settings.filter == "sun" else 1  # samples are averaged anyway
         parts = (drawn.pixels[:split], settings.filter), (drawn.pixels[split:], sample_filter)
         flat = [a.reshape(visibility.size, -1) for a in (buffer.position_frame_m, facets.normal_frame, facets.crease, corners)]
         if settings.filter != "sun" and not drawn.uniforms["lamp"] and drawn.is_uniform:
@@ -117,13 +117,16 @@ def look_up(
 
 def _comparison(settings: MapSettings, taps: int) -> DepthComparison:
     by_triangles = settings.bias == "receiver_plane"
-    # Beside known triangles there are fewer taps: a point moved far clear of its own misses what touches it.
+    # Points without a known triangle get fewer taps: a large offset would miss casters that touch the surface.
     beside = min(taps, 2) if by_triangles else taps
     return DepthComparison(by_triangles, settings.bias != "polygon_offset", np.float32(settings.bias_scale), taps, beside)
 
 
 def _program(gl: Device, drawn: DepthMap, settings: MapSettings, filter: int | str, known: dict[str, bool]) -> Program:
-    """The program that looks a map up, all set but for the points; ``known`` says which triangles are."""
+    """Return the program that samples a map, with all uniforms but those of the points.
+
+    ``known`` says which triangles are known.
+    """
     from moderngl import Uniform
 
     disc, taps = filter == "sun", DISC_TAPS if filter == "sun" else int(filter)
@@ -153,7 +156,7 @@ def _program(gl: Device, drawn: DepthMap, settings: MapSettings, filter: int | s
 
 
 def _use_depths(target: Framebuffer) -> None:
-    """Put a depth map in its texture unit."""
+    """Bind a depth map to its texture unit."""
     from moderngl import Texture
 
     depths = target.depth_attachment
@@ -163,7 +166,7 @@ def _use_depths(target: Framebuffer) -> None:
 
 @contextmanager
 def _least_depths(gl: Device, drawn: DepthMap, target: Framebuffer, settings: MapSettings) -> Iterator[None]:
-    """The least depth of each block of a map's texels, in its texture unit, where the sun's disc needs it."""
+    """Bind the minimum depth of each block of a map's texels to its texture unit, where the sun's disc needs it."""
     if settings.filter != "sun":
         yield
         return
@@ -184,7 +187,7 @@ def _least_depths(gl: Device, drawn: DepthMap, target: Framebuffer, settings: Ma
 def _drawn_pixels(
     gl: Device, program: Program, arrays: list[np.ndarray], target: Framebuffer, drawn: DepthMap, record: PassRecord
 ) -> np.ndarray:
-    """Run the look-up for points (rows, cols, 3), facings, and what else there is of them."""
+    """Run the look-up for points (rows, cols, 3), normals with creases, and further arrays; return visibility (rows, cols)."""
     rows, cols = arrays[0].shape[:2]
     textures = [gl.texture(array) for array in arrays]
     for unit, texture in enumerate(textures):
@@ -201,7 +204,7 @@ def _drawn_pixels(
 
 
 def _in_rows(values: np.ndarray) -> np.ndarray:
-    """Values (n, k) one after another in rows (rows, ``LOOK_COLS``, k), the last filled up with NaN."""
+    """Return values (n, k) row by row as (rows, ``LOOK_COLS``, k), the last row padded with NaN."""
     rows = max(-(-len(values) // LOOK_COLS), 1)
     out = np.full((rows * LOOK_COLS, values.shape[1]), np.nan, np.float32)
     out[: len(values)] = values
@@ -209,7 +212,10 @@ def _in_rows(values: np.ndarray) -> np.ndarray:
 
 
 def _nodes(sheet: Sheet) -> np.ndarray:
-    """A sheet's nodes (rows, cols, 4) float32 with the cut of the quad south-east of each: 1 where it falls to the south-east."""
+    """Return a sheet's nodes (rows, cols, 4) float32 with the cut of the quad south-east of each.
+
+    The cut is 1 where it runs to the south-east.
+    """
     out = np.zeros((*sheet.position_frame_m.shape[:2], 4), np.float32)
     out[..., :3] = sheet.position_frame_m
     out[:-1, :-1, 3] = sheet.falls
@@ -218,7 +224,7 @@ def _nodes(sheet: Sheet) -> np.ndarray:
 
 @compiled
 def _gather(chosen, position, normal, crease, corners, points, facings, triangles):
-    """Some of a buffer's points (n, k), one after another, as float32: points, normals with creases, triangles."""
+    """Gather some of a buffer's points (n, k) as float32: positions, normals with creases, and triangles."""
     for n in range(len(chosen)):
         i = chosen[n]
         for k in range(3):

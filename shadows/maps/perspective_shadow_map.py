@@ -1,8 +1,8 @@
 """`perspective_shadow_map`: a depth map in the post-perspective space of the camera, fine near the eye and coarse far away.
 
-``skugga.shadows.maps.post_perspective`` makes the map's matrix. Here it is fitted to the receivers, drawn, and looked up;
-``docs/perspective-shadow-maps.md`` derives the window, the comparison and the bias. Taps, their weights, kept maps and foliage are
-as in ``docs/shadow-maps.md``. A uniform map is put on record with the reason.
+``skugga.shadows.maps.post_perspective`` computes the map's matrix. This module fits it to the receivers, draws the map and looks it
+up. ``docs/perspective-shadow-maps.md`` derives the window, the comparison and the bias. Taps, their weights, cached maps and
+foliage are as in ``docs/shadow-maps.md``. A fall-back to a uniform map is recorded with its reason.
 """
 
 from __future__ import annotations
@@ -48,27 +48,28 @@ from skugga.terrain.scene import Scene
 PASSES = ("depth map", "visibility")
 
 SAMPLE = 1024
-"""Receivers that a map's matrix is chosen by; it is fitted to all of them."""
+"""Number of receivers from which a map's matrix is chosen. The map is fitted to all receivers."""
 
 ROUNDS = 8
-"""Times that the outermost of all receivers may join the sample, before the map is widened to hold them."""
+"""Upper bound of the rounds in which the outermost receivers join the sample, before the map is widened to hold them."""
 
 TOLERANCE = 1.125
-"""How far a receiver outside of the sample may lie beyond the map that is chosen by it, as a share of its half width."""
+"""Upper bound of the map coordinates of receivers outside of the sample, as a multiple of the map's inner half width."""
 
 ERROR = 2.0 * POSITION_ERROR
-"""Bound of what float32 makes of positions, as a share of their coordinates."""
+"""Upper bound of the float32 error of positions, as a share of their coordinates."""
 
 MOST_TEXEL_PX = 4.0
-"""How many pixels a texel may cover (root mean square) before what is seen gets several maps: some edges are off by over two pixels
-there (``docs/seeds.md``, figure 52).
+"""Upper bound of a texel's size in pixels (root mean square) for a single map.
+
+Above it the view gets several maps, since some edges are then off by over two pixels (``docs/seeds.md``, figure 52).
 """
 
 MOST_RANGES = 4
-"""As many maps as a shadow map has cascades at most."""
+"""Upper bound of the number of maps: that of the cascades of a shadow map."""
 
 BEFORE = 0.01
-"""Share of the map's depths that lies before the nearest receiver."""
+"""Share of the map's depth range in front of the nearest receiver."""
 
 
 def fill(
@@ -80,9 +81,9 @@ def fill(
     settings: PerspectiveMapSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Visibility of a light (rows, cols), float32 in [0, 1], for a buffer's points past some kinds of casters.
+    """Return the visibility of a light (rows, cols), float32 in [0, 1], for a buffer's points past some kinds of casters.
 
-    Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
+    The value has no meaning off the surface and where the surface faces away from the light. Raises ``GraphicsError``.
     """
     if settings.filter == "sun":
         return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
@@ -92,14 +93,24 @@ def fill(
         receivers = buffer.there & ~attached(buffer, scene, light)
         shaded = receivers.any() and anything_casts(scene, buffer, kinds)
         fitted = perspective_maps(buffer, receivers, scene, light, settings, trees) if shaded else []
-        record.note = next(filter(None, [record.note, *(each.note for each in fitted)]), "")  # of any part of a view
+        record.note = next(filter(None, [record.note, *(each.note for each in fitted)]), "")  # the first note of any part of a view
     maps = [each.drawn for each in fitted]
     return visibility_by_maps(maps, buffer, scene, light, kinds, casters, settings, (depth_pass, visibility_pass), log)
 
 
 @dataclass(frozen=True, eq=False)
 class FittedMap:
-    """A perspective map to be drawn, how many pixels its texels cover (root mean square), and what there is to say of it."""
+    """A perspective map that is fitted to its receivers.
+
+    Attributes
+    ----------
+    drawn
+        The map to draw.
+    texel_px
+        Size of its texels in pixels of the picture, root mean square.
+    note
+        The reason for a uniform map; empty otherwise.
+    """
 
     drawn: DepthMap
     texel_px: float
@@ -114,10 +125,11 @@ def perspective_maps(
     settings: PerspectiveMapSettings,
     trees: TreeInstances | None,
 ) -> list[FittedMap]:
-    """The maps of a light for a perspective view's receivers (rows, cols), at least one, from the eye outwards.
+    """Return the maps of a light for a perspective view's receivers (rows, cols), at least one, from the eye outwards.
 
-    It is one, if its texels cover at most ``MOST_TEXEL_PX``. Else what is seen is parted, at distances in a geometric series
-    along the view's axis, into as few ranges as keep to that, or up to ``MOST_RANGES`` whose coarsest texels are smallest.
+    One map suffices if its texels cover at most ``MOST_TEXEL_PX``. Otherwise the receivers are split at distances in a geometric
+    series along the view's axis. The result is the smallest number of ranges that keeps to this bound, or else the split into up to
+    ``MOST_RANGES`` whose coarsest texels are smallest.
     """
     assert isinstance(buffer.view, PerspectiveView)
     best = [perspective_map(buffer, receivers, scene, light, settings, trees)]
@@ -145,7 +157,7 @@ def perspective_map(
     settings: PerspectiveMapSettings,
     trees: TreeInstances | None,
 ) -> FittedMap:
-    """The map of a light for some receivers (rows, cols) of a perspective view, at least one."""
+    """Return the map of a light for some receivers (rows, cols) of a perspective view, at least one."""
     chosen = np.flatnonzero(receivers)
     sampled = chosen[:: max(len(chosen) // SAMPLE, 1)]
     position, corners = buffer.position_frame_m.reshape(-1, 3), buffer.corners_frame_m
@@ -177,7 +189,7 @@ def perspective_map(
     to_texels = np.array([[size / 2, 0, 0, size / 2], [0, size / 2, 0, size / 2], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
     uniforms = {
         "lamp": False,
-        "clip_rows": tuple(clip.ravel()),  # GLSL's matrices are column by column: these columns are the rows
+        "clip_rows": tuple(clip.ravel()),  # GLSL matrices are column-major: these columns are the rows
         "map_rows": tuple((to_texels @ clip).ravel()),
         "position_error": ERROR,
         "depth_step": 1.0 / depth_steps(settings.depth_bits),
@@ -196,8 +208,9 @@ def perspective_map(
 
 
 def _least_sides(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, map_size: int) -> np.ndarray:
-    """The ranges (2,) of a map's x and y of which a texel is four times the error (n,) of the positions (n, 3): of a few receivers
-    that lie in one place, or of a single one, finer texels would hold nothing but rounding.
+    """Return lower bounds (2,) of a map's x and y ranges, at which a texel is four times the error (n,) of the positions (n, 3).
+
+    They apply to a single receiver, or to a few at one place, where finer texels would resolve rounding only.
     """
     w = horizon_m(matrix, points)[:, None]
     projected_xy = projected(matrix, points)[:, :2]
@@ -206,11 +219,11 @@ def _least_sides(matrix: np.ndarray, points: np.ndarray, error_m: np.ndarray, ma
 
 
 def _clear_depths(matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, error_m: np.ndarray, reach: float) -> np.ndarray:
-    """How early depths must begin for points (n, 3) on triangles (n, 3, 3), as z (n,) of a matrix to texels and z.
+    """Return the depths at which the map has to begin for points (n, 3) on triangles (n, 3, 3): z (n,) of a matrix to texels and z.
 
-    What casts before the first depth is held there. It shades a point if that is deeper by all that is taken off it, and if the
-    point's triangle begins no earlier at the texels up to ``reach`` beside. Twice what is taken off, as in the shader, but for
-    its share of the whole range.
+    The map clamps casters in front of its first depth to that depth. Such a caster shades a point under two conditions: the point
+    is deeper by all that the comparison subtracts, and its triangle begins no earlier at the texels up to ``reach`` beside it. The
+    bound takes twice the amount that the shader subtracts, but not its share of the whole range.
     """
     w = horizon_m(matrix, points)[:, None]
     in_map = projected(matrix, points)
@@ -233,13 +246,13 @@ def _clear_depths(matrix: np.ndarray, points: np.ndarray, corners: np.ndarray, e
 
 
 def camera_of(buffer: GeometryBuffer) -> Camera:
-    """The camera of a perspective view in the buffer's frame."""
+    """Return the camera of a perspective view in the buffer's frame."""
     assert isinstance(buffer.view, PerspectiveView)
     return Camera(*buffer.view.in_frame(buffer.frame))
 
 
 def light_of(buffer: GeometryBuffer, scene: Scene, light: str) -> Light:
-    """The sun or a lamp as a homogeneous point in the buffer's frame."""
+    """Return the sun or a lamp as a homogeneous point in the buffer's frame."""
     if light == SUN:
         assert scene.sun is not None
         return Light(np.array([*scene.sun.in_frame(buffer.frame), 0.0]), np.zeros(3))
@@ -250,10 +263,11 @@ def light_of(buffer: GeometryBuffer, scene: Scene, light: str) -> Light:
 
 @compiled
 def _bounds(matrix, plain, nearest, position, chosen):
-    """Least and largest (4,) of x, y and z in a map, and of w as a share of another plane's (4,), of the chosen of some points
-    (m, 3); and which points (5,) are outermost: in x, in y, and nearest to the map's horizon.
+    """Return the bounds of the chosen ones among points (m, 3) in a map, and the outermost of them.
 
-    Those nearer than ``nearest`` to that plane do not count in z.
+    The bounds are minimum and maximum (4,) of x, y and z in the map, and of w as a share of the distance from the plane ``plain``
+    (4,). The outermost points (5,) are indices: both ends in x and in y, and the nearest to the map's horizon. Points nearer than
+    ``nearest`` to the plane do not count in z.
     """
     low, high, outermost = np.full(4, np.inf), np.full(4, -np.inf), np.full(5, chosen[0])
     v = np.empty(4)
@@ -282,7 +296,7 @@ def _bounds(matrix, plain, nearest, position, chosen):
 def _texel_m(
     scene: Scene, light: str, kinds: tuple[CasterKind, ...], settings: PerspectiveMapSettings, buffer: GeometryBuffer
 ) -> float | np.ndarray:
-    """A texel's larger side on level ground at a buffer's points (rows, cols), metres; 0 where nothing faces the light."""
+    """Return a texel's larger side on level ground at a buffer's points (rows, cols), metres; 0 where nothing faces the light."""
     receivers = buffer.there & ~attached(buffer, scene, light)
     if not receivers.any():
         return 0.0
@@ -295,7 +309,7 @@ def _texel_m(
 
 
 def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
-    """Sizes and taps, as far as the grid goes."""
+    """Yield the sizes and taps to calibrate, to the extent of ``grid``."""
     asked = calibrated_maps(descriptor, light, grid)
     for overrides in [*asked.sizes, *(each for each in asked.filters if each["filter"] != "sun")]:
         yield resolve_perspective_map(SettingsRequest(descriptor, light, Shadows(**{"filter": 3, "cascades": 1} | overrides)))[0]

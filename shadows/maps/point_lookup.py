@@ -1,8 +1,10 @@
-"""Looking points of a perspective view up in the sun's map, on the processor: what ``shaders/receiver.glsl`` and
-``shaders/shadow_map.frag.glsl`` do for points that lie on triangles of their own, in the same float32 and in the same order.
+"""Look points of a perspective view up in the sun's map, by a loop on the processor.
 
-A look-up is little work for each of many points. A software rasteriser pays more for taking them in and giving them back than for
-that; a hardware one has to fetch sixteen numbers a point over its bus.
+The loop does the work of ``shaders/receiver.glsl`` and ``shaders/shadow_map.frag.glsl`` for points on triangles of their own, in
+the same float32 operations and the same order.
+
+A look-up is little work for each of many points. A software rasteriser pays more for the transfer of points and results than for
+the look-ups. A hardware one has to transfer sixteen numbers per point over its bus.
 """
 
 from __future__ import annotations
@@ -16,9 +18,26 @@ from skugga.terrain.compiled import compiled, in_shares, internal
 
 
 class SunMap(NamedTuple):
-    """A map of the sun, as the loop takes it: depths (rows, cols) in steps, of which ``steps`` are the whole depth, uint16 or
-    float32, rows upwards in light space; rotation (3, 3) and offset (3,) of a frame's points to it, ``window_m`` deep, ``texel_m``
-    (2,); all float32. The rest are ``DepthMap.uniforms``.
+    """A map of the sun, as the loop reads it. Floats are float32; fields without a description are as in ``DepthMap.uniforms``.
+
+    Attributes
+    ----------
+    depths
+        uint16 or float32 (rows, cols), in steps; rows run upwards in light space.
+    steps
+        Number of steps in the whole depth.
+    light_from_frame
+        (3, 3): rotation from the frame to the map.
+    light_offset_m
+        (3,): offset in the map, metres.
+    window_m
+        Depth of the map, metres.
+    texel_m
+        (2,): sides of a texel, metres.
+    error_m
+        Upper bound of the float32 error of positions, metres.
+    depth_step
+        Step between two depths, as a share of the whole depth.
     """
 
     depths: np.ndarray
@@ -32,8 +51,20 @@ class SunMap(NamedTuple):
 
 
 class DepthComparison(NamedTuple):
-    """How depths are compared (``skugga.shadows.maps.settings``): on triangles that are known, or moved along normals, or neither;
-    taps a side, and those where no triangle is known.
+    """The comparison of depths (``skugga.shadows.maps.settings``).
+
+    Attributes
+    ----------
+    by_triangles
+        Whether depths are compared on known triangles.
+    by_offset
+        Whether points without one are moved along their normals.
+    bias_scale
+        Factor of the derived offset.
+    taps
+        Taps along a side.
+    taps_beside
+        Taps along a side where no triangle is known.
     """
 
     by_triangles: bool
@@ -44,7 +75,19 @@ class DepthComparison(NamedTuple):
 
 
 class LitPoints(NamedTuple):
-    """Points (n, ...) that are looked up: in the frame, with unit normals of their triangles, creases (n,) and corners (n, 9)."""
+    """Points that are looked up.
+
+    Attributes
+    ----------
+    position
+        (n, 3): positions in the frame, metres.
+    normal
+        (n, 3): unit normals of their triangles.
+    crease
+        (n,): creases.
+    corners
+        (n, 9): corners of their triangles in the frame, metres.
+    """
 
     position: np.ndarray
     normal: np.ndarray
@@ -53,7 +96,7 @@ class LitPoints(NamedTuple):
 
 
 def sun_map(drawn: DepthMap, depths: np.ndarray) -> SunMap:
-    """A map that was drawn, with its depths (rows, cols) as they were read: float32, or uint16 in steps."""
+    """Return a drawn map for the loop, with its depths (rows, cols) as read: float32, or uint16 in steps."""
     given = drawn.uniforms
     single = np.float32
     return SunMap(
@@ -64,7 +107,7 @@ def sun_map(drawn: DepthMap, depths: np.ndarray) -> SunMap:
 
 
 def look_points_up(sun: SunMap, comparison: DepthComparison, points: LitPoints, chosen: np.ndarray, visibility: np.ndarray) -> None:
-    """Put the share of lit texels round the ``chosen`` points (indices) into ``visibility`` (n,) float32."""
+    """Write the share of lit texels around the ``chosen`` points (indices) to ``visibility`` (n,) float32."""
     in_shares(len(chosen), _look_up, sun, comparison, points, chosen, visibility)
 
 
@@ -94,8 +137,9 @@ def _look_up(first, last, sun, comparison, points, chosen, visibility):
 
 @internal
 def _turned(sun, vectors, i, first):
-    """Three numbers of a row, from ``first`` on, along the light's axes: three rather than an array, whose memory would cost more
-    than all else.
+    """Return three numbers of a row, from ``first`` on, along the light's axes.
+
+    They are a tuple, since allocating an array would cost more than all other work.
     """
     x, y, z = np.float32(vectors[i, first]), np.float32(vectors[i, first + 1]), np.float32(vectors[i, first + 2])
     axes = sun.light_from_frame
@@ -114,7 +158,7 @@ def _moved(sun, turned):
 
 @internal
 def _clear_of(sun, comparison, p, n, crease):
-    """A point moved clear of every surface that passes through it."""
+    """Return a point moved clear of every surface that passes through it."""
     if not comparison.by_offset:
         return p
     side = np.float32(-1.0) if n[2] > np.float32(0.0) else np.float32(1.0)  # foliage is lit from either side
@@ -129,7 +173,7 @@ def _clear_of(sun, comparison, p, n, crease):
 
 @internal
 def _first_tap(sun, p, count):
-    """The first texel, column and row, of a square of taps round a point, and how far beyond its corner the square begins."""
+    """Return the first texel (column, row) of a square of taps around a point, and the square's offset from its corner."""
     half = np.float32(0.5) * np.float32(count - 1)
     x, y = p[0] / sun.texel_m[0] - half, p[1] / sun.texel_m[1] - half
     left, low = np.floor(x), np.floor(y)
@@ -138,7 +182,7 @@ def _first_tap(sun, p, count):
 
 @internal
 def _is_empty(sun, p, count):
-    """Whether the map holds nothing in a square of taps round a point."""
+    """Return whether the map holds no caster in a square of taps around a point."""
     left, low, _, _ = _first_tap(sun, p, count)
     rows, cols = sun.depths.shape
     for r in range(max(low, 0), min(low + count, rows)):
@@ -158,7 +202,7 @@ def _is_lit(sun, rounding, row, col, z):
 
 @internal
 def _weight(count, n, beyond):
-    """How much of a tap lies in the square of count - 1 texels round the point, along one axis."""
+    """Return the overlap, along one axis, of a tap with the square of count - 1 texels around the point."""
     if n == 0:
         return np.float32(1.0) - beyond
     return beyond if n == count - 1 else np.float32(1.0)
@@ -166,7 +210,7 @@ def _weight(count, n, beyond):
 
 @internal
 def _on_own_triangle(sun, comparison, p, corners, i):
-    """The lit and all of the weight of those taps whose texels' centres fall into a point's own triangle."""
+    """Return the lit and the total weight of the taps whose texel centres lie in a point's own triangle."""
     lit, counted = np.float32(0.0), np.float32(0.0)
     if corners[i, 0] == corners[i, 3] and corners[i, 1] == corners[i, 4] and corners[i, 2] == corners[i, 5]:
         return lit, counted
@@ -206,7 +250,7 @@ def _on_own_triangle(sun, comparison, p, corners, i):
 
 @internal
 def _beside_triangles(sun, comparison, clear):
-    """The lit share of the taps round a point that was moved clear, wherever their texels lie."""
+    """Return the lit share of the taps around a point that was moved clear, wherever their texels lie."""
     count, zero, one = comparison.taps_beside, np.float32(0.0), np.float32(1.0)
     rounding = np.float32(0.5) * sun.depth_step if comparison.by_offset else zero
     left, low, beyond_x, beyond_y = _first_tap(sun, clear, count)

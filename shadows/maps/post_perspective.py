@@ -1,8 +1,8 @@
-"""The matrix of a perspective shadow map: from a frame to the light's clip space, by way of a camera's. Float64, no OpenGL.
+"""The matrix of a perspective shadow map: from a frame to the light's clip space, through a camera's. Float64, without OpenGL.
 
-After Stamminger and Drettakis 2002, "Perspective shadow maps", with the cases of Kozlov 2004, "Perspective shadow maps: care and
-feeding" (GPU Gems, chapter 14). ``docs/perspective-shadow-maps.md`` derives the light's perspective, one formula for its three
-kinds; why no caster is lost; and which slide-back is taken.
+It follows Stamminger and Drettakis 2002, "Perspective shadow maps", with the cases of Kozlov 2004, "Perspective shadow maps: care
+and feeding" (GPU Gems, chapter 14). ``docs/perspective-shadow-maps.md`` derives the light's perspective, one formula for its three
+kinds; why no caster is lost; and the choice of the slide-back.
 """
 
 from __future__ import annotations
@@ -15,33 +15,46 @@ import numpy as np
 from skugga.terrain.compiled import compiled
 
 PostPerspectiveLightKind = Literal["point", "sink", "parallel"]
-"""What a light is after the camera's projection: in front of it, behind, or neither."""
+"""Kind of a light after the camera's projection: in front of the camera, behind it, or neither."""
 
 CONE_DEG = 3.0
-"""Within this angle of the view's axis, or of its continuation behind, a light gets a uniform map."""
+"""Angle between a light and the view's axis, in either direction, up to which the light gets a uniform map."""
 
 HORIZON_MARGIN = 1e-3
-"""How close a receiver may come to the horizon, as a share of the farthest one's distance from it: so much of float32 is left."""
+"""Lower bound of a receiver's distance from the horizon, as a share of the farthest receiver's distance.
+
+It leaves float32 enough precision.
+"""
 
 DOUBLINGS = 6
-"""How often the far plane's distance is doubled for the longest slide-back, and at least halved for the shortest."""
+"""Number of doublings of the far plane's distance for the longest slide-back, and fewest halvings for the shortest."""
 
 LEAST_EXTENT = 1e-3
-"""Least depth and half width, as shares of the distance, of what a virtual camera sees: of a wall, a single pixel."""
+"""Lower bound of the depth and of the half width, as shares of the distance, of a virtual camera.
+
+A wall or a single pixel needs it.
+"""
 
 MAP_ROTATIONS = np.radians(np.arange(0.0, 90.0, 5.0))
-"""Turns of the map about its middle that are tried: the one that the receivers fill best is taken."""
+"""Rotations of the map about its centre that are tried. The receivers fill the chosen one best."""
 
 NO_POINTS = np.zeros((0, 3))
-"""No points."""
 
 OUTLINE = 64
-"""Directions in which the farthest receivers count as their outline, for the map's turn."""
+"""Number of directions whose farthest receivers form the outline, for the choice of the map's rotation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """An eye (3,) and the rotation (3, 3) from the frame to right, down and forward."""
+    """A camera in a frame.
+
+    Attributes
+    ----------
+    eye_m
+        (3,): position of the eye, metres.
+    camera_from_frame
+        (3, 3): rotation from the frame to right, down and forward.
+    """
 
     eye_m: np.ndarray
     camera_from_frame: np.ndarray
@@ -51,13 +64,21 @@ class Camera:
         return self.camera_from_frame[2]
 
     def seen(self, points_m: np.ndarray) -> np.ndarray:
-        """Points (..., 3) right, down and forward of the eye."""
+        """Return points (..., 3) in camera coordinates: right, down and forward of the eye."""
         return (points_m - self.eye_m) @ self.camera_from_frame.T
 
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A light's homogeneous point (4,), and a point (3,) that it surely shines at: ahead of a spot, anywhere under the sun."""
+    """A light in a frame.
+
+    Attributes
+    ----------
+    homogeneous
+        (4,): the light as a homogeneous point.
+    ahead_m
+        (3,): a point that the light certainly shines at: ahead of a spot, anywhere under the sun.
+    """
 
     homogeneous: np.ndarray
     ahead_m: np.ndarray
@@ -65,10 +86,20 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class PostPerspective:
-    """A map's matrix (4, 4), with the sampled receivers within the inner part of -1 to 1 in x and y, its depth not yet fitted.
+    """The matrix of a map whose depth range is not yet fitted.
 
-    ``kind`` is that of the light, ``slide_m`` the slide-back; a uniform map has ``None`` and infinity, and a ``note`` that says
-    why. ``texel`` is the root mean square of what half the map's width covers in the picture, in tangents.
+    Attributes
+    ----------
+    clip_from_frame
+        (4, 4): the matrix. It maps the sampled receivers into the inner part of -1 to 1 in x and y.
+    kind
+        The kind of the light; ``None`` for a uniform map.
+    slide_m
+        The slide-back, metres; infinity for a uniform map.
+    texel
+        Root mean square of the size in the picture, in tangents, of half the map's width.
+    note
+        The reason for a uniform map; empty otherwise.
     """
 
     clip_from_frame: np.ndarray
@@ -79,13 +110,13 @@ class PostPerspective:
 
 
 def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, slide_m: float) -> np.ndarray:
-    """The virtual camera's projection (4, 4): it stands ``slide_m`` behind the real one, from which its planes are counted.
+    """Return the projection (4, 4) of the virtual camera, which stands ``slide_m`` behind the real one.
 
-    Raises ``ValueError`` unless the planes lie before the virtual camera, one behind the other.
+    The planes' distances are measured from the real camera. Raises ``ValueError`` unless 0 < near < far for the virtual camera.
     """
     near, far = near_m + slide_m, far_m + slide_m
     if not 0.0 < near < far:
-        raise ValueError(f"near {near}, far {far}: needed is 0 < near < far")
+        raise ValueError(f"near {near}, far {far}: 0 < near < far must hold")
     projection = np.array([
         [1.0 / tangent, 0.0, 0.0, 0.0], [0.0, 1.0 / tangent, 0.0, 0.0],
         [0.0, 0.0, (far + near) / (far - near), -2.0 * far * near / (far - near)], [0.0, 0.0, 1.0, 0.0],
@@ -97,15 +128,19 @@ def camera_matrix(camera: Camera, tangent: float, near_m: float, far_m: float, s
 
 
 def kind_of(light: np.ndarray) -> PostPerspectiveLightKind:
-    """The kind of a light (4,) in a camera's clip space; in between are those that rounding does not tell apart."""
+    """Return the kind of a light (4,) in a camera's clip space.
+
+    ``parallel`` includes lights that rounding does not tell from it.
+    """
     if abs(light[3]) <= 1e-12 * np.linalg.norm(light[:3]):
         return "parallel"
     return "point" if light[3] > 0.0 else "sink"
 
 
 def light_matrix(light: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """The light's perspective (4, 4) in a camera's cube, or in plain space: it takes the light (4,) to (0, 0, -1, 0), whatever its
-    kind, and a point (3,), ``middle``, to (0, 0, 0, 1).
+    """Return the light's perspective (4, 4) in a camera's cube or in plain space.
+
+    It maps a light (4,) of any kind to (0, 0, -1, 0), and the point ``middle`` (3,) to (0, 0, 0, 1).
     """
     away = light[:3] - light[3] * middle
     square = away @ away
@@ -119,18 +154,18 @@ def light_matrix(light: np.ndarray, middle: np.ndarray) -> np.ndarray:
 
 
 def uniform_matrix(light: Light, points: np.ndarray) -> np.ndarray:
-    """The light's perspective (4, 4) in plain space: even texels across the sun's rays, or across a lamp's axis."""
+    """Return the light's perspective (4, 4) in plain space: uniform texels across the sun's rays, or across a lamp's axis."""
     return light_matrix(light.homogeneous, light.ahead_m if light.homogeneous[3] else _amid(points))
 
 
 def post_perspectives(
     camera: Camera, light: Light, points: np.ndarray, inner: float, rim: np.ndarray = NO_POINTS
 ) -> list[PostPerspective]:
-    """The maps for receivers (n, 3) of which all are before the eye, the best one first, the uniform one last: with it end those
-    that are better than none.
+    """Return the candidate maps for receivers (n, 3) in front of the eye, the best one first.
 
-    They are chosen by ``points``, and hold those on the ``rim`` (m, 3), too. Whoever finds that another receiver lies beyond the
-    horizon takes the next map. ``inner`` is the part of the map's half width that receivers may fill.
+    The last one is the uniform map; candidates with larger texels than the uniform map are left out. The maps are chosen by
+    ``points``, and also hold the points on the ``rim`` (m, 3). If another receiver lies beyond the horizon of a map, the caller
+    takes the next one. ``inner`` is the part of the map's half width that receivers may fill.
     """
     uniform = uniform_matrix(light, points)
     outline = np.concatenate([points[_outline(projected(uniform, points)[:, :2])], rim])
@@ -147,9 +182,9 @@ def post_perspectives(
         why = f"the light stands {off_deg:.1f} degrees off the view's axis, within {CONE_DEG:g}"
         return [made(uniform, None, np.inf, f"a uniform map: {why}")]
     near, far = float(seen[:, 2].min()), float(seen[:, 2].max())
-    far = max(far, near * (1.0 + LEAST_EXTENT))  # a wall that is looked at straight on
+    far = max(far, near * (1.0 + LEAST_EXTENT))  # a wall that faces the camera
     widest, candidates = np.abs(seen[:, :2]).max(axis=1), []
-    halvings = max(DOUBLINGS, int(np.ceil(np.log2(far / near))) + 1)  # shorter than half the nearest's distance is as good as none
+    halvings = max(DOUBLINGS, int(np.ceil(np.log2(far / near))) + 1)  # a slide-back below half the nearest distance has no effect
     for slide_m in (0.0, *(far * 2.0 ** np.arange(-halvings, DOUBLINGS + 1))):
         view = camera_matrix(camera, max(float((widest / (seen[:, 2] + slide_m)).max()), LEAST_EXTENT), near, far, slide_m)
         seen_light = view @ light.homogeneous
@@ -165,12 +200,15 @@ def post_perspectives(
 
 
 def texel_in_picture(camera: Camera, light: Light, matrix: np.ndarray, points: np.ndarray) -> float:
-    """The root mean square of what half the width of a map covers in the picture at points (n, 3), in tangents."""
+    """Return the root mean square of the size in the picture, in tangents, of half a map's width at points (n, 3)."""
     return float(_texel(matrix, points, *_in_picture(camera, light, points)))
 
 
 def _in_picture(camera: Camera, light: Light, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two directions across a light's rays (n, 3, 2) at points (n, 3), and how the picture's coordinates change along them."""
+    """Return two directions across a light's rays at points (n, 3), and the derivatives of the picture's coordinates along them.
+
+    The directions are (n, 3, 2).
+    """
     directions = light.homogeneous[:3] - light.homogeneous[3] * points
     directions = np.broadcast_to(directions / np.linalg.norm(directions, axis=-1, keepdims=True), points.shape)
     aside = across(directions)
@@ -178,9 +216,9 @@ def _in_picture(camera: Camera, light: Light, points: np.ndarray) -> tuple[np.nd
 
 
 def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: float, before: float = 0.0) -> np.ndarray:
-    """A map's matrix with what it takes to bounds (3,) between -``inner`` and ``inner`` in x and y.
+    """Return a map's matrix, scaled so that bounds (3,) of x and y map to -``inner`` and ``inner``.
 
-    In z it is taken to between -1 and 1, but for a share ``before`` of that before it.
+    The bounds of z map to -1 and 1, with the share ``before`` of that range in front of them.
     """
     span = np.maximum(high - low, 1e-9 * (1.0 + np.abs(high)))
     low, high = low - np.array([0.0, 0.0, before / (1.0 - before) * span[2]]), low + span
@@ -191,41 +229,41 @@ def fit_to_bounds(matrix: np.ndarray, low: np.ndarray, high: np.ndarray, inner: 
 
 
 def projected(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) through a matrix (4, 4), divided by their w."""
+    """Return points (n, 3) transformed by a matrix (4, 4) and divided by their w."""
     homogeneous = points @ matrix[:, :3].T + matrix[:, 3]
     return homogeneous[:, :3] / homogeneous[:, 3:]
 
 
 def horizon_m(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """How far points (n, 3) lie before a map's horizon, in a unit of its own: their w."""
+    """Return the distance w of points (n, 3) in front of a map's horizon, in the map's own unit."""
     return points @ matrix[3, :3] + matrix[3, 3]
 
 
 def is_clear(away: np.ndarray) -> bool:
-    """Whether all distances from a horizon (n,), as shares of those in the uniform map, are well above 0."""
+    """Return whether all distances from a horizon (n,), as shares of those in the uniform map, are well above 0."""
     return bool(np.isfinite(away).all() and away.min() >= HORIZON_MARGIN * away.max() > 0.0)
 
 
 def _amid(points: np.ndarray) -> np.ndarray:
-    """The middle (3,) of the bounds of points (n, 3)."""
+    """Return the centre (3,) of the bounds of points (n, 3)."""
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
 def _off_axis_deg(camera: Camera, light: Light, from_m: np.ndarray) -> float:
-    """The angle between the view's axis, either way, and the way from a point (3,) to a light."""
+    """Return the angle between the view's axis, in either direction, and the direction from a point (3,) to a light."""
     to_light = light.homogeneous[:3] - light.homogeneous[3] * from_m
     aside = np.linalg.norm(np.cross(camera.axis, to_light))
     return float(np.degrees(np.arctan2(aside, abs(camera.axis @ to_light))))
 
 
 def _outline(image: np.ndarray) -> np.ndarray:
-    """Those of some points (n, 2) that lie farthest in some direction: their outline stays that in any homography."""
+    """Return the points (n, 2) that are farthest in some direction. A homography preserves this outline."""
     angle = np.arange(OUTLINE) * 2.0 * np.pi / OUTLINE
     return np.unique(np.argmax((image - image.mean(axis=0)) @ np.stack([np.cos(angle), np.sin(angle)]), axis=0))
 
 
 def _filled(matrix: np.ndarray, outline: np.ndarray, inner: float) -> np.ndarray:
-    """A matrix with the map turned about its axis and stretched so that an outline (n, 3) fills its inner part best."""
+    """Return a matrix with the map rotated about its axis and scaled so that an outline (n, 3) fills its inner part best."""
     axes = np.stack([np.cos(MAP_ROTATIONS), np.sin(MAP_ROTATIONS), -np.sin(MAP_ROTATIONS), np.cos(MAP_ROTATIONS)], axis=1).reshape(
         -1, 2, 2
     )
@@ -239,7 +277,7 @@ def _filled(matrix: np.ndarray, outline: np.ndarray, inner: float) -> np.ndarray
 
 
 def across(normals: np.ndarray) -> np.ndarray:
-    """Two unit vectors at right angles (..., 3, 2) across unit vectors (..., 3).
+    """Return two perpendicular unit vectors (..., 3, 2) across unit vectors (..., 3).
 
     After Duff et al. 2017, "Building an orthonormal basis, revisited".
     """
@@ -251,14 +289,17 @@ def across(normals: np.ndarray) -> np.ndarray:
 
 
 def _pixels(camera: Camera, seen: np.ndarray, aside: np.ndarray) -> np.ndarray:
-    """How the picture's coordinates (tangents) change along two directions (n, 3, 2) at points as the camera sees them (n, 3)."""
+    """Return the derivatives of the picture's coordinates (tangents) along two directions (n, 3, 2).
+
+    The points (n, 3) are in camera coordinates.
+    """
     ahead = seen[:, 2, None, None]
     return (camera.camera_from_frame[:2] - seen[:, :2, None] / ahead * camera.axis) / ahead @ aside
 
 
 @compiled
 def _texel(matrix, points, aside, pixels):
-    """The root mean square size in the picture, in tangents, of what half the width of a map covers along two directions."""
+    """Return the root mean square size in the picture, in tangents, of half a map's width along two directions."""
     total = 0.0
     for n in range(len(points)):
         p = points[n]

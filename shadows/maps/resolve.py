@@ -1,4 +1,4 @@
-"""What the settings of depth maps are resolved from: how many texels and cascades, how many bits, how many taps, and why."""
+"""Resolve the settings of depth maps: texels, cascades, bits and taps, with the reasons."""
 
 from __future__ import annotations
 
@@ -20,21 +20,22 @@ from skugga.terrain.facts.fact_types import Band, LampFacts
 from skugga.terrain.level.level import SUN, Shadows
 
 TEXEL_PX = 0.4
-"""A texel's footprint on level ground, in pixels, that an automatic map size keeps to (between 512 and 4096 texels)."""
+"""Upper bound of a texel's footprint on level ground, in pixels, for an automatic map size (512 to 4096 texels)."""
 
 CASCADE_PX = 2.0
-"""What a texel of a perspective view may cover, in pixels, where its cascade is nearest to the eye: of the numbers of cascades
-(up to 4) and the automatic sizes that keep to it, those with the fewest texels are taken.
+"""Upper bound of a texel's footprint in a perspective view, in pixels, where its cascade is nearest to the eye.
+
+Of the numbers of cascades (up to 4) and automatic sizes that keep to it, the combination with the fewest texels is chosen.
 """
 
 FOLIAGE_PX = 3.0
-"""The same where trees cast: their many layers of alpha-tested texels make a map cost in proportion to its texels."""
+"""The same bound where trees cast. Their many layers of alpha-tested texels make the cost of a map proportional to its texels."""
 
 DEPTH_PX = 0.25
-"""How far a depth step may shift a shadow on level ground, in pixels, before an automatic depth takes more bits."""
+"""Upper bound of a shadow's shift on level ground by one depth step, in pixels, for an automatic depth of 16 bits."""
 
 LARGEST_MAP, SMALLEST_MAP = 4096, 512
-"""Automatic map sizes."""
+"""Bounds of automatic map sizes."""
 
 TUNED_SIZES = (1024, 2048, 512, 4096)
 """Map sizes that policies try, in this order."""
@@ -42,7 +43,10 @@ TUNED_SIZES = (1024, 2048, 512, 4096)
 CALIBRATED_SIZES = (512, 1024, 2048, 4096)
 
 PERSPECTIVE_TEXELS = 1024
-"""Texels a side of a perspective map, unless the level says otherwise: they go where the eye sees them, so that few do."""
+"""Default number of texels along a side of a perspective map.
+
+A perspective map concentrates its texels where the eye sees them, so few suffice.
+"""
 
 NO_CHOICE = {
     "fit": ("tight", "a perspective map follows the camera: its fit is always tight"),
@@ -50,7 +54,7 @@ NO_CHOICE = {
     "bias": ("receiver_plane", "a perspective map is compared on the receiver's own triangle"),
     "culling": ("none", "a perspective map needs no bias, so no culling"),
 }
-"""What a shadow map may be asked for: the only way of a perspective one, and why."""
+"""Settings of a shadow map that a perspective map does not offer: the only value, and the reason."""
 
 EXTENT_STEP = 2.0**0.25
 """Extents of a perspective view are rounded up to powers of this, so that texels keep their size while a camera moves."""
@@ -58,27 +62,35 @@ EXTENT_STEP = 2.0**0.25
 
 @dataclass(frozen=True)
 class CalibratedMaps:
-    """What a calibration asks of a light's maps: sizes, then filters."""
+    """The overrides that a calibration tries for a light's maps.
+
+    Attributes
+    ----------
+    sizes
+        Overrides of the size.
+    filters
+        Overrides of the filter.
+    """
 
     sizes: list[dict[str, Any]]
     filters: list[dict[str, Any]]
 
 
 def calibrated_maps(descriptor: Descriptor, light: str, grid: str) -> CalibratedMaps:
-    """As far as the grid goes (``skugga.shadows.algorithm.Cost``)."""
+    """Return the overrides to calibrate, to the extent of ``grid`` (``skugga.shadows.algorithm.Cost``)."""
     sizes = {"few": (1024, 2048)}.get(grid, CALIBRATED_SIZES if light == SUN else CALIBRATED_SIZES[:3])
     taps: tuple[int | str, ...] = (1, 2, 5, *(("sun",) if light == SUN else ())) if grid == "full" else ()
     return CalibratedMaps([{"map_size": size} for size in sizes], [{"map_size": 1024, "filter": each} for each in taps])
 
 
 def resolve_shadow_map(request: SettingsRequest) -> ResolvedSettings:
-    """Settings of a light's shadow map, and the reasons for what was left to choose. Raises ``UnsupportedError``."""
+    """Return the settings of a light's shadow map, and the reasons for automatic values. Raises ``UnsupportedError``."""
     settings, reasons = resolve_uniform_map(replace(request, shadows=request.sharpened))
     return settings, [*request.why_sharpened, *reasons]
 
 
 def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | LampMapSettings, list[Reasoned]]:
-    """The same of any map that is not in the space of the picture, just as it is asked for."""
+    """Return the same for any map outside of post-perspective space, without the reason for hard edges."""
     if request.light == SUN:
         return sun_map_settings(request.descriptor, request.shadows)
     lamp = next(lamp for lamp in request.descriptor.lamps if lamp.name == request.light)
@@ -87,7 +99,7 @@ def resolve_uniform_map(request: SettingsRequest) -> tuple[ShadowMapSettings | L
 
 
 def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMapSettings, list[Reasoned]]:
-    """Settings of the sun's map or cascades, and the reasons for what was left to choose."""
+    """Return the settings of the sun's map or cascades, and the reasons for automatic values."""
     assert descriptor.receivers_light_m is not None and descriptor.sun_altitude_deg is not None
     altitude = np.radians(max(descriptor.sun_altitude_deg, 0.5))
     reasons: list[Reasoned] = []
@@ -139,7 +151,10 @@ def sun_map_settings(descriptor: Descriptor, shadows: Shadows) -> tuple[ShadowMa
 
 
 def _taps(request: SettingsRequest) -> tuple[MapFilter, list[Reasoned]]:
-    """The taps of a lamp's map, or of a perspective one, and why. Raises ``UnsupportedError`` for the penumbra of a point."""
+    """Return the taps of a lamp's map, or of a perspective one, and the reasons.
+
+    Raises ``UnsupportedError`` for the penumbra of a point light.
+    """
     light, descriptor, taps = request.light, request.descriptor, request.sharpened.filter
     who = "" if light == SUN else f"{light}: "
     if request.is_area:
@@ -162,7 +177,7 @@ def _taps(request: SettingsRequest) -> tuple[MapFilter, list[Reasoned]]:
 def lamp_map_settings(
     descriptor: Descriptor, lamp: LampFacts, shadows: Shadows, taps: MapFilter, why_taps: list[Reasoned], points: int = MAX_POINTS
 ) -> tuple[LampMapSettings, list[Reasoned]]:
-    """Settings of a lamp's map: a texel at the distance that the lamp is meant for keeps to ``TEXEL_PX``."""
+    """Return the settings of a lamp's map. A texel at the lamp's reference distance keeps to ``TEXEL_PX``."""
     across_m = 2.0 * lamp.reference_m * np.tan(np.radians(45.0 if lamp.kind == "omni" else lamp.cutoff_deg))
     size, reasons = shadows.map_size, []
     if size == "auto":
@@ -179,7 +194,7 @@ def lamp_map_settings(
 
 
 def resolve_perspective_map(request: SettingsRequest) -> ResolvedSettings:
-    """Settings of a light's perspective shadow map, and the reasons for what was left to choose. Raises ``UnsupportedError``."""
+    """Return the settings of a light's perspective map, and the reasons for automatic values. Raises ``UnsupportedError``."""
     light, asked = request.light, request.sharpened
     who = "" if light == SUN else f"{light}: "
     reasons = [
@@ -215,10 +230,10 @@ def _bias_and_culling(shadows: Shadows) -> dict[str, Any]:
 def _cascades(
     descriptor: Descriptor, shadows: Shadows, altitude: float, reasons: list[Reasoned]
 ) -> list[tuple[float | None, np.ndarray, float]]:
-    """For each cascade how far from the eye it goes, its receivers' extent in light space (3,), and a pixel's side, metres.
+    """Return for each cascade its far distance, its receivers' extent in light space (3,), and a pixel's side; all in metres.
 
-    Their number and automatic size go by the pixels that a texel covers at worst. Of the ways to part what is seen that keep to it
-    (a size that is given promises nothing), the one is taken whose texels cover the fewest pixels in the mean over what is seen.
+    The number of cascades and the automatic size follow from the largest footprint of a texel. Of the splits that keep to it (a
+    requested size has no bound), the one with the smallest mean footprint over the visible ground is chosen.
     """
     if not descriptor.bands or descriptor.pixel is None:
         return [(None, np.array(descriptor.receivers_light_m), descriptor.pixel_m)]
@@ -252,14 +267,17 @@ def _wished_px(descriptor: Descriptor) -> float:
 
 
 def _power(texels: float, most: int) -> int:
-    """The automatic map size that holds so many texels and the border."""
+    """Return the automatic map size that holds ``texels`` and the border."""
     return int(np.clip(2 ** np.ceil(np.log2(texels + 2 * MAP_BORDER_TEXELS)), SMALLEST_MAP, most))
 
 
 @cached("process", 16 * MIB)
 def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of n bands, from one to another joined: extents in light space (n, n, 3), metres, rounded up, of a band before it NaN; where
-    each begins (n,), metres from the eye; and the sums (n, n) of their shares by that.
+    """Return the extents, starts and summed shares of all runs of n consecutive bands.
+
+    The extents (n, n, 3) in light space, from the first band to the last of a run, are in metres, rounded up; NaN where the last
+    precedes the first. The starts (n,) of the bands are metres from the eye. The sums (n, n) add each band's share divided by its
+    start.
     """
     near_m = np.array([band.near_m for band in bands])
     cumulative = np.concatenate([[0.0], np.cumsum([band.share for band in bands] / near_m)])
@@ -272,8 +290,9 @@ def _of_runs(bands: tuple[Band, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 @cached("process", 16 * MIB)
 def _splits(bands: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """All ways to join neighbouring bands to ``count`` runs (as many as there are bands, if those are fewer): numbers of the first
-    and of the last band of each run, int64 (ways, runs).
+    """Return all ways to split bands into ``count`` runs of neighbours, or into as many runs as bands if those are fewer.
+
+    The result holds the numbers of the first and of the last band of each run, int64 (ways, runs) each.
     """
     count = min(count, bands)
     cuts_of_runs = list(combinations(range(1, bands), count - 1))
@@ -283,5 +302,5 @@ def _splits(bands: int, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _footprint(extent_m: np.ndarray, altitude: float) -> np.ndarray:
-    """The extent's sides right and up (2,) on level ground."""
+    """Return the extent's sides right and up (2,) on level ground."""
     return extent_m[:2] / np.array([1.0, np.sin(altitude)])

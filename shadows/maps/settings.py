@@ -1,4 +1,4 @@
-"""The settings of depth maps, resolved: the sun's, a lamp's, and those of a perspective map."""
+"""The resolved settings of depth maps: the sun's, a lamp's, and those of a perspective map."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ from pydantic import BaseModel, ConfigDict, Field
 from skugga.shadows.algorithm import AlgorithmSettings, AreaSettings
 
 MapFit = Literal["stable", "tight"]
-"""Where a sun's map lies: on a fixed lattice, so that texels never move against the ground, or close round the receivers."""
+"""Position of a sun's map: ``stable`` on a lattice fixed to the ground, where texels never move, or ``tight`` around receivers."""
 
 MapBias = Literal["receiver_plane", "normal_offset", "polygon_offset"]
-"""What keeps a surface from shading itself: derived in ``docs/shadow-maps.md``."""
+"""Bias that keeps a surface from shading itself; ``docs/shadow-maps.md`` derives each."""
 
 MapFilter = Literal[1, 2, 3, 5, "sun"]
-"""Taps a side of a map's look-up, or the penumbra of the light's disc or ball."""
+"""Taps along a side of a map's look-up; ``sun``: the penumbra of the light's disc or ball."""
 
 Culling = Literal["none", "front"]
-"""Faces of closed casters that are left out of a map."""
+"""Faces of closed casters that a map leaves out."""
 
 
 class Cascade(BaseModel):
-    """One of a sun's maps: for what lies up to ``far_m`` from the eye and beyond the cascade before (``None``: for all the rest).
+    """One of a sun's maps.
 
-    ``texel_m`` are the sides of a texel in light space (right, up), ``depth_step_m`` the metres between two depths that the map
-    can tell apart.
+    It serves points up to ``far_m`` from the eye, beyond the previous cascade (``None``: all remaining points). ``texel_m`` are the
+    sides of a texel in light space (right, up). ``depth_step_m`` is the smallest difference of depths that the map resolves, in
+    metres.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -36,10 +37,11 @@ class Cascade(BaseModel):
 
 
 class ShadowMapSettings(AlgorithmSettings):
-    """Settings of a sun's shadow map, resolved: one for all blocks of a (level, zoom, sun).
+    """Resolved settings of a sun's shadow map, shared by all blocks of a level, a zoom and a sun.
 
-    ``map_size`` are the texels a side of each of the ``cascades``, from the nearest on (one in map views), ``filter`` the taps a
-    side, or ``sun`` for the penumbra of the sun's disc. ``bias_scale`` multiplies the derived offset (1 is right; less shows acne).
+    ``map_size`` are the texels along a side of each of the ``cascades``, from the nearest on (one in map views). ``filter`` are the
+    taps along a side, or ``sun`` for the penumbra of the sun's disc. ``bias_scale`` multiplies the derived offset (1 is right; less
+    shows acne).
     """
 
     map_size: int = Field(ge=64, le=8192)
@@ -53,19 +55,21 @@ class ShadowMapSettings(AlgorithmSettings):
 
     @property
     def asked_as(self) -> dict[str, Any]:
-        """The same as a level's ``shadows`` would ask for them: of the cascades it has the number."""
+        """The settings as keys and values of a level's ``shadows``, with the number of cascades."""
         return super().asked_as | {"cascades": len(self.cascades)}
 
     @property
     def label(self) -> list[str]:
-        """Texels a side, taps a side, bits, and what is not as it is by itself."""
+        """Texels and taps along a side, bits, the number of cascades, and other values that differ from their defaults."""
         several = [f"{len(self.cascades)}cascades"] if len(self.cascades) > 1 else []
         return [str(self.map_size), str(self.filter), str(self.depth_bits), *several, *self.changed()]
 
 
 class LampMapSettings(AreaSettings):
-    """Settings of a spot's shadow map, or of each of an omni light's six: texels a side, bits of depth, taps a side, or ``sun`` for
-    the penumbra of the lamp's ball: a map from each of many points of it.
+    """Settings of a spot's shadow map, or of each of an omni light's six.
+
+    They are texels along a side, bits of depth, and taps along a side. The filter ``sun`` shows the penumbra of the lamp's ball, by
+    a map from each of many points of it.
     """
 
     map_size: int = Field(ge=64, le=8192)
@@ -77,15 +81,15 @@ class LampMapSettings(AreaSettings):
 
     @property
     def label(self) -> list[str]:
-        """Texels a side, taps a side, bits, and what is not as it is by itself."""
+        """Texels and taps along a side, bits, and other values that differ from their defaults."""
         return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed()]
 
 
 class PerspectiveMapSettings(AreaSettings):
-    """Settings of a perspective shadow map: texels a side, bits of depth, taps a side, or ``sun`` for the penumbra of the light's
-    disc or ball: a map for each of many points of it.
+    """Settings of a perspective shadow map: texels along a side, bits of depth, and taps along a side.
 
-    It is fitted closely, compared on triangles that are known, and drawn whole: these are no choices of its own.
+    The filter ``sun`` shows the penumbra of the light's disc or ball, by a map for each of many points of it. The map always has a
+    tight fit, the bias ``receiver_plane`` and no culling.
     """
 
     bias: ClassVar[MapBias] = "receiver_plane"
@@ -98,5 +102,5 @@ class PerspectiveMapSettings(AreaSettings):
 
     @property
     def label(self) -> list[str]:
-        """Texels a side, taps a side, bits."""
+        """Texels and taps along a side, bits, and other values that differ from their defaults."""
         return [str(self.map_size), str(self.filter), str(self.depth_bits), *self.changed()]

@@ -1,8 +1,7 @@
-"""`shadow_map`: depth maps from the light. The sun's is orthographic and follows the view; a spot has one perspective map, an omni
-light six.
+"""`shadow_map`: depth maps from the light.
 
-``docs/shadow-maps.md`` derives it all in order: the window of a map (``windows``), comparison and bias, the filter (``lookup``),
-and the sun's disc (``sun_disc``).
+The sun's map is orthographic and follows the view. A spot has one perspective map, an omni light has six. ``docs/shadow-maps.md``
+derives the window of a map (``windows``), comparison and bias, the filter (``lookup``), and the sun's disc (``sun_disc``).
 """
 
 from __future__ import annotations
@@ -42,9 +41,9 @@ def fill(
     settings: ShadowMapSettings | LampMapSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Visibility of a light (rows, cols), float32 in [0, 1], for a buffer's points past some kinds of casters.
+    """Return the visibility of a light (rows, cols), float32 in [0, 1], for a buffer's points past some kinds of casters.
 
-    Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
+    The value has no meaning off the surface and where the surface faces away from the light. Raises ``GraphicsError``.
     """
     if isinstance(settings, LampMapSettings) and settings.filter == "sun":
         return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
@@ -63,12 +62,15 @@ def fill(
 
 
 def _tunes(descriptor: Descriptor, light: str, key: str, value: int) -> bool:
-    """Whether there are as many cascades: under the sun, in a perspective view of as many bands of distance."""
+    """Return whether a number of cascades makes sense for a light of a view.
+
+    That is under the sun, in a perspective view with at least as many bands of distance.
+    """
     return key != "cascades" or (light == SUN and value <= len(descriptor.bands))
 
 
 def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
-    """Sizes, cascades and taps, as far as the grid goes."""
+    """Yield the sizes, cascades and taps to calibrate, to the extent of ``grid``."""
     asked = calibrated_maps(descriptor, light, grid)
     for overrides in [*asked.sizes, *(CALIBRATED_CASCADES if descriptor.bands and light == SUN else ()), *asked.filters]:
         yield resolve_shadow_map(SettingsRequest(descriptor, light, Shadows(**{"filter": 3, "cascades": 1} | overrides)))[0]
@@ -83,7 +85,7 @@ VARIANTS: tuple[dict[str, Any], ...] = tuple(MIDDLE | change for change in (
     {"cascades": 1}, {"cascades": 2}, {"cascades": 4}, {"filter": "sun"}, {"filter": 5}, {"depth_bits": 16}, {"depth_bits": 24},
     {"depth_bits": 32}, {"bias": "normal_offset"}, {"bias": "polygon_offset"}, {"fit": "tight"}, {"culling": "front"},
 ))  # fmt: skip
-"""What the report turns one at a time, from a map of the middle's settings."""
+"""Settings that the report varies one at a time, from the map ``MIDDLE``."""
 
 ALGORITHM = Algorithm(
     name="shadow_map",

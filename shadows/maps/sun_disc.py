@@ -1,4 +1,4 @@
-"""The sun's disc behind a depth map: its samples, and how far across the map it is seen."""
+"""The sun's disc for depth maps: its samples, and its width across the map."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ DISC_TANGENT = float(np.tan(np.radians(SUN_RADIUS_DEG)))
 """Half the disc's width at distance 1."""
 
 DISC_SAMPLES = 128
-"""Samples of the disc: one bit each of four words."""
+"""Number of samples of the disc: one bit each of four words."""
 
 EDGES = 128
-"""Steps along the disc's width that the edges of what covers it are rounded to."""
+"""Steps along the disc's width to which the edges of occluders are rounded."""
 
 BLOCK_TEXELS = 16
-"""Side of the blocks of texels whose least depth is known."""
+"""Side in texels of the blocks whose minimum depth is stored."""
 
 WIDEST_TEXELS = 64
-"""The widest that half the disc is taken for across the map; the penumbra of what lies farther stays as narrow."""
+"""Upper bound of half the disc's width across the map. Penumbrae of farther casters do not get wider."""
 
 DISC_TAPS = 3
-"""Taps a side that what is near is compared by: the disc is never taken for narrower than two texels."""
+"""Taps along a side for near casters. The disc is never narrower than two texels."""
 
 
 @cached("process", MIB)
 def samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
-    """For each of ``EDGES + 1`` places in [-1, 1] the bits (4 words, uint32) of the samples right of the first and up that lie
-    before it. The samples are Vogel's spiral (1979), equal areas each.
+    """Return the bits of the disc's samples in front of each of ``EDGES + 1`` positions in [-1, 1], (``EDGES + 1``, 4) uint32.
+
+    The first array is along right, the second along up. The samples are Vogel's spiral (1979), of equal areas.
     """
     number = np.arange(DISC_SAMPLES)
     angle, away = number * np.pi * (3.0 - 5.0**0.5), np.sqrt((number + 0.5) / DISC_SAMPLES)
@@ -45,14 +46,14 @@ def samples_before_edges() -> tuple[np.ndarray, np.ndarray]:
 
 
 def border_texels(depth_m: float, texel_m: np.ndarray) -> np.ndarray:
-    """Texels (right, up) that the disc reaches to beside a point whose casters lie up to ``depth_m`` before it."""
+    """Return the border in texels (right, up) that the disc needs for casters up to ``depth_m`` in front of a point."""
     return np.minimum(np.ceil(depth_m * DISC_TANGENT / texel_m).astype(np.int64) + 1, WIDEST_TEXELS)
 
 
 def nearest_caster_m(
     scene: Scene, buffer: GeometryBuffer, kinds: tuple[CasterKind, ...], casters: Casters, trees: TreeInstances | None
 ) -> float:
-    """The smallest light-space depth of what casts, metres; infinite where nothing does."""
+    """Return the smallest light-space depth of the casters, metres; infinity without any."""
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(buffer.frame)
     points = [sheet.position_frame_m.reshape(-1, 3) for sheet in caster_sheets(scene, buffer, casters, kinds)]

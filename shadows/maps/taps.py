@@ -1,8 +1,8 @@
-"""How many taps a sun's map is looked up by: what comes nearer to the sun's disc.
+"""The number of taps for a sun's map that comes nearest to the sun's disc.
 
-One tap shows a penumbra of width P as a hard edge, which is P / 4 off in the mean, and a little more for where texels end. Three
-taps show it as a ramp of two texels: that is nearer where texels are clearly narrower than P, and blurs what is sharp where they
-are not. Leaves have no edge that is wider than the gaps between them: three taps blur these. Measured in ``docs/accuracy.md``.
+One tap shows a penumbra of width P as a hard edge. Its mean error is P / 4, and a little more for the texels' edges. Three taps
+show it as a ramp of two texels. The ramp is more accurate where texels are clearly narrower than P; elsewhere it blurs sharp edges.
+Leaves have no edges wider than the gaps between them, so three taps blur them. ``docs/accuracy.md`` has the measurements.
 """
 
 from __future__ import annotations
@@ -18,16 +18,19 @@ from skugga.terrain.geo.sun import SUN_RADIUS_DEG
 from skugga.terrain.level.level import SUN
 
 DISC_WIDTH = float(2.0 * np.tan(np.radians(SUN_RADIUS_DEG)))
-"""The penumbra's width across the light as a share of the distance from what throws it."""
+"""Width of a penumbra across the light, as a share of the distance from its caster."""
 
 FINE = 0.75
-"""A texel is fine where it is at most this share of a penumbra: there ``soft_error`` turns, in measured views."""
+"""Largest texel that counts as fine, as a share of a penumbra.
+
+The sign of the gain in ``soft_error`` changes there, in measured views.
+"""
 
 Taps = Literal[1, 3]
 
 
 def sun_taps(descriptor: Descriptor, cascades: Sequence[Cascade]) -> tuple[Taps, str]:
-    """Taps a side for the cascades of a sun's map, and why."""
+    """Return the taps along a side for the cascades of a sun's map, and the reason."""
     share = fine_share(descriptor, cascades)
     if share is None:
         return 3, "it is not known how wide penumbrae are: 3 x 3 taps smooth the texel stairs along shadow edges"
@@ -38,8 +41,9 @@ def sun_taps(descriptor: Descriptor, cascades: Sequence[Cascade]) -> tuple[Taps,
 
 
 def fine_share(descriptor: Descriptor, cascades: Sequence[Cascade]) -> float | None:
-    """The share of the cast shadow that is seen where texels are finer than the penumbrae of what throws it (not of leaves);
-    ``None`` where it is not known how far shadows are thrown.
+    """Return the share of the visible cast shadow where texels are finer than penumbrae; leaves never count as fine.
+
+    It is ``None`` where the distances from casters are unknown.
     """
     facts, shadow, fine = descriptor.lights.get(SUN), 0.0, 0.0
     for kind, casting in facts.casts.items() if facts is not None else ():

@@ -1,4 +1,4 @@
-"""How large the texels of depth maps are: in pixels, expected from a descriptor, and in metres, at the points of a picture."""
+"""Texel sizes of depth maps: in pixels, predicted from a descriptor, and in metres, at the points of a picture."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from skugga.terrain.scene import Scene
 def shadow_map_texel_px(
     descriptor: Descriptor, light: str, settings: ShadowMapSettings | LampMapSettings, band: CastBand, perspective: float
 ) -> float:
-    """A texel's side of the sun's map or a lamp's in a band, in pixels, across the light (the geometric mean of both sides)."""
+    """Return a texel's side of the sun's map or a lamp's in a band, in pixels, across the light.
+
+    It is the geometric mean of both sides.
+    """
     if isinstance(settings, LampMapSettings):
         return _uniform_px(descriptor, light, band) / settings.map_size
     ends = (cascade.far_m for cascade in settings.cascades[:-1])
@@ -30,13 +33,13 @@ def shadow_map_texel_px(
 def perspective_map_texel_px(
     descriptor: Descriptor, light: str, settings: PerspectiveMapSettings, band: CastBand, perspective: float
 ) -> float:
-    """The same of a perspective map, with as many texels to a pixel's side as ``perspective`` says."""
+    """Return the same for a perspective map. ``perspective`` is the number of its texels per pixel's side."""
     seen_px = perspective * sqrt(descriptor.rows * descriptor.cols)
     return min(seen_px, _uniform_px(descriptor, light, band)) / settings.map_size
 
 
 def _uniform_px(descriptor: Descriptor, light: str, band: CastBand) -> float:
-    """What one uniform map of the light covers along a side, in pixels of a band."""
+    """Return the extent of one uniform map of the light along a side, in pixels of a band."""
     lamp = next((lamp for lamp in descriptor.lamps if lamp.name == light), None)
     if light == SUN or lamp is None:
         right, up, _ = descriptor.receivers_light_m or (band.pixel_m, band.pixel_m, 0.0)
@@ -52,7 +55,10 @@ def shadow_map_texel_m(
     settings: ShadowMapSettings | LampMapSettings,
     buffer: GeometryBuffer,
 ) -> float | np.ndarray:
-    """A texel's larger side on level ground at a buffer's points (rows, cols), or everywhere, metres; 0 without a sun."""
+    """Return a texel's larger side on level ground, metres, at a buffer's points (rows, cols), or everywhere.
+
+    It is 0 without a sun.
+    """
     if isinstance(settings, LampMapSettings):
         lamp = scene.lamps[light]
         way = lamp.in_frame(buffer.frame).position_frame_m - buffer.position_frame_m
@@ -68,7 +74,7 @@ def shadow_map_texel_m(
 
 
 def _from_eye_m(buffer: GeometryBuffer) -> np.ndarray:
-    """How far a perspective view's points (rows, cols) are from the eye; 0 in a map."""
+    """Return the distance of a perspective view's points (rows, cols) from the eye, metres; 0 in a map."""
     if not isinstance(buffer.view, PerspectiveView):
         return np.asarray(0.0)
     eye, _ = buffer.view.in_frame(buffer.frame)
@@ -76,10 +82,10 @@ def _from_eye_m(buffer: GeometryBuffer) -> np.ndarray:
 
 
 def texel_on_level_ground_m(map_from_frame: np.ndarray, position_frame_m: np.ndarray) -> np.ndarray:
-    """A texel's larger side on level ground at points (..., 3), metres, where a projective map (4, 4) takes a frame to texels.
+    """Return a texel's larger side on level ground at points (..., 3), metres, for a projective map (4, 4) from a frame to texels.
 
-    A metre is as many texels as the least singular value of the map's derivative says, in the direction where texels are largest
-    (J. Blinn, Consider the Lowly 2 x 2 Matrix, 1996).
+    The least singular value of the map's derivative is the number of texels per metre in the direction where texels are largest (J.
+    Blinn, Consider the Lowly 2 x 2 Matrix, 1996).
     """
     x, y, _, w = np.moveaxis(position_frame_m @ map_from_frame[:, :3].T + map_from_frame[:, 3], -1, 0)
     (ux, uy), (vx, vy), _, (wx, wy) = map_from_frame[:, :2]

@@ -1,8 +1,9 @@
-"""Which trees a map of the sun has to hold: those that may shade one of its receivers.
+"""The trees that a map of the sun has to hold: those that may shade one of its receivers.
 
-Seen along the sun's rays, what a camera sees is sparse: far woods hide most of the ground between their trees. A coarse mask of the
-map says where receivers lie, and how far from the sun the farthest of them (J. Bittner, O. Mattausch, A. Silvennoinen and M. Wimmer
-2011, "Shadow Caster Culling for Efficient Shadow Mapping"). A tree beside all of them, or behind them, changes no look-up.
+Along the sun's rays, the visible points of a camera are sparse: far woods hide most of the ground between their trees. A coarse
+mask of the map stores where receivers lie, and the depth of the farthest of them from the sun (J. Bittner, O. Mattausch, A.
+Silvennoinen and M. Wimmer 2011, "Shadow Caster Culling for Efficient Shadow Mapping"). A tree beside or behind all of them changes
+no look-up.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ RECEIVER_CELLS = 512
 
 
 def trees_that_matter(drawn: DepthMap, buffer: GeometryBuffer, soft: bool) -> np.ndarray:
-    """Indices among the trees of a map of the sun of those that it has to hold, the nearest to the sun first; ``soft``: the map is
-    looked up for the sun's disc.
+    """Return the indices of the trees that a map of the sun has to hold, the nearest to the sun first.
+
+    ``soft`` is true if the map is looked up for the sun's disc.
     """
     assert drawn.trees is not None and drawn.reach is not None
     rotation, translation, low, high = drawn.reach
@@ -48,7 +50,7 @@ def trees_that_matter(drawn: DepthMap, buffer: GeometryBuffer, soft: bool) -> np
 
 @compiled
 def _farthest_receivers(first, last, parts, position, chosen, rotation, translation, cells, farthest):
-    """Of each share of the receivers, how far from the sun the farthest in each cell lies."""
+    """Store in each cell the largest depth from the sun of the receivers, for each share of the receivers."""
     rows, cols = farthest.shape[1:]
     for share in range(first, last):
         mask = farthest[share]
@@ -77,7 +79,7 @@ def _shading(first, last, base, shape, which, rotation, translation, cells, fart
         right = min(int(np.floor((middle[0] + radius + beside_m[0]) / cells[0])), cols - 1)
         low = max(int(np.floor((middle[1] - radius - beside_m[1]) / cells[1])), 0)
         high = min(int(np.floor((middle[1] + radius + beside_m[1]) / cells[1])), rows - 1)
-        # What is looked up may have been moved a few texels along the rays, too.
+        # Points may have been moved a few texels along the rays before their look-up.
         nearest = middle[2] - radius - beside_m[0] - beside_m[1]
         matters = False
         for r in range(low, high + 1):

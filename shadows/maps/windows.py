@@ -1,4 +1,4 @@
-"""Which depth maps a light needs: where they lie in light space, how large they are, and what they hold."""
+"""The depth maps of a light: their windows in light space, their sizes and their contents."""
 
 from __future__ import annotations
 
@@ -20,33 +20,50 @@ from skugga.terrain.lights import Lamp
 from skugga.terrain.scene import Scene
 
 MAP_BORDER_TEXELS = 12
-"""Texels round the receivers: the bias moves lookups by up to 8, taps by up to 2."""
+"""Texels around the receivers: the bias moves look-ups by up to 8, taps by up to 2."""
 
 SIZE_STEP = 64
-"""Maps are allocated in multiples of this, so that blocks of one level share them."""
+"""Map sizes are multiples of this, so that the blocks of a level share textures."""
 
 POSITION_ERROR = 4.0 * float(np.finfo(np.float32).eps)
-"""Bound of what float32 makes of positions, as a share of the coordinates' extent: 8 units in the last place."""
+"""Upper bound of the float32 error of positions, as a share of the coordinates' extent: 8 units in the last place."""
 
 NEAREST_SHARE = 1e-4
-"""The nearest receiver of a lamp counts as no nearer than this share of the farthest one's distance."""
+"""Lower bound of the distance of a lamp's nearest receiver, as a share of the farthest one's."""
 
 CUBE = np.array([
     [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 0, -1], [0, 1, 0], [1, 0, 0]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
     [[-1, 0, 0], [0, 1, 0], [0, 0, -1]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]], [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
 ], np.float64)  # fmt: skip
-"""Rotations from an omni light's axes to those of its six maps: forward, right, left, back, down, up. These are the light's own
-words: its forward is straight down to the ground.
+"""Rotations from an omni light's axes to those of its six maps: forward, right, left, back, down, up.
+
+The names are in the light's axes; its forward axis points straight down to the ground.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """A depth map to be drawn: its uniforms, the texels of a face, its faces' rotations, the trees that there are, and in
-    perspective the points that it is for (flat indices).
+    """A depth map to draw.
 
-    ``shaders`` are those of the light's clip space and of what is held against the map. ``reach`` bounds the trees that matter
-    (rotation, translation, low, high: as ``skugga.terrain.casters.casting.trees_in_the_way`` takes them); ``None``: all of them do.
+    Attributes
+    ----------
+    uniforms
+        Uniforms of the shaders, by name.
+    size
+        Texels (across, down) of a face.
+    faces
+        Rotations (3, 3) of the faces.
+    depth_bits
+        Bits of depth: 16, 24 or 32.
+    trees
+        The casting trees; ``None`` without any.
+    pixels
+        Flat indices (n,) of the points that the map serves in a perspective view; ``None`` in a map view.
+    reach
+        Bounds of the trees that matter: rotation, translation, low and high, as ``skugga.terrain.casters.casting.trees_in_the_way``
+        takes them. ``None``: all trees matter.
+    shaders
+        Shader parts of the light's clip space and of the comparison with the map.
     """
 
     uniforms: dict[str, Any]
@@ -60,13 +77,13 @@ class DepthMap:
 
     @property
     def texture_size(self) -> tuple[int, int]:
-        """Texels across and down of all its faces together: six lie three beside one another, in two rows."""
+        """Texels (across, down) of all faces together; six lie in two rows of three."""
         across, down = (3, 2) if len(self.faces) == 6 else (1, 1)
         return self.size[0] * across, self.size[1] * down
 
     @property
     def is_uniform(self) -> bool:
-        """Whether its texels are all of one size in the light's own space, rather than in the picture's."""
+        """Whether the texels have one size in the light's own space, rather than in the picture's."""
         return self.shaders == DepthMap.shaders
 
     @property
@@ -81,9 +98,10 @@ class DepthMap:
 def sun_maps(
     buffer: GeometryBuffer, scene: Scene, settings: ShadowMapSettings, trees: TreeInstances | None, nearest_m: float = np.inf
 ) -> list[DepthMap]:
-    """The maps of the cascades that have receivers. Depths count from ``nearest_m`` on, where that is before the receivers.
+    """Return the maps of the cascades that have receivers.
 
-    What is turned away from the sun needs no map; but a map view's stable windows go by all of its ground, whatever the sun.
+    Depths start at ``nearest_m`` if that is in front of the receivers. Surfaces that face away from the sun need no map. The stable
+    windows of a map view, however, follow all of its ground, whatever the sun.
     """
     view = buffer.view
     stable = isinstance(view, MapView) and settings.fit == "stable"
@@ -113,13 +131,13 @@ def _sun_map(
     trees: TreeInstances | None,
     nearest_m: float,
 ) -> DepthMap:
-    """The map of a cascade, whose receivers are ``here``."""
+    """Return the map of a cascade whose receivers are ``here``."""
     assert scene.light is not None
     rotation, translation = scene.light.from_frame(buffer.frame)
     low, high = light_bounds(buffer.position_frame_m, here, rotation, translation)
     error_m = POSITION_ERROR * (_extent_m(buffer, here) + float(np.abs(high - low).max()))
     stable, texel = settings.fit == "stable", np.array(cascade.texel_m)
-    if not stable:  # never coarser, nor finer than what float32 makes of positions
+    if not stable:  # never coarser, nor finer than the float32 error of positions
         own_m = (high - low)[:2] / max(settings.map_size - 2 * MAP_BORDER_TEXELS - 1, 1)
         texel = np.minimum(texel, np.maximum(own_m, 4.0 * error_m))
     border = np.full(2, MAP_BORDER_TEXELS)
@@ -127,7 +145,7 @@ def _sun_map(
         low[2] = min(low[2], nearest_m)
         border += border_texels(float(high[2] - low[2]), texel)
     first, size = _window(low, high, texel, border, stable)
-    for axis in (0, 1):  # a block wider than the plan foresaw gets coarser texels, not a map that no device holds
+    for axis in (0, 1):  # a block wider than planned gets coarser texels instead of a map too large for the device
         while size[axis] > min(device().max_size, 2 * settings.map_size + 4 * border[axis] + SIZE_STEP):
             texel[axis] *= 2.0
             first, size = _window(low, high, texel, border, stable)
@@ -140,7 +158,7 @@ def _sun_map(
     offset_m, window_m = translation - np.array([*(first * texel), near]), np.array([*(size * texel), steps * step_m])
     uniforms = {
         "lamp": False,
-        "light_from_frame": tuple(rotation.T.ravel()),  # GLSL matrices are column by column
+        "light_from_frame": tuple(rotation.T.ravel()),  # GLSL matrices are column-major
         "light_offset_m": tuple(offset_m),
         "window_m": tuple(window_m),
         "texel_m": tuple(texel),
@@ -154,7 +172,7 @@ def _sun_map(
 
 
 def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, trees: TreeInstances | None) -> DepthMap | None:
-    """The map of a lamp; ``None`` where it shines on nothing."""
+    """Return the map of a lamp; ``None`` where it shines on nothing."""
     position, _, rotation = lamp.in_frame(buffer.frame)
     size = settings.map_size
     faces = tuple(CUBE) if lamp.kind == "omni" else (np.eye(3),)
@@ -180,8 +198,9 @@ def lamp_map(buffer: GeometryBuffer, lamp: Lamp, settings: LampMapSettings, tree
 
 @compiled
 def _depths_seen(points, here, position, faces, tangent):
-    """The least and the greatest depth, metres, of points (rows, cols, 3) that are ``here``, in a lamp's faces (n, 3, 3) as far as
-    ``tangent`` from their axes; infinity and 0 where none is seen.
+    """Return the smallest and largest depth, metres, of the points (rows, cols, 3) that are ``here``, in a lamp's faces (n, 3, 3).
+
+    Each face reaches as far as ``tangent`` from its axis. The result is infinity and 0 where no face contains a point.
     """
     nearest, farthest = np.inf, 0.0
     for i in range(here.shape[0]):
@@ -200,7 +219,7 @@ def _depths_seen(points, here, position, faces, tangent):
 
 
 def distances(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    """Distances (rows, cols) float32 of points (rows, cols, 3) from an eye; NaN where there is no point."""
+    """Return the distances (rows, cols) float32 of points (rows, cols, 3) from an eye; NaN at invalid points."""
     out = np.empty(points.shape[:2], np.float32)
     in_shares(len(points), _distances, points, eye, out)
     return out
@@ -217,10 +236,11 @@ def _distances(first, last, points, eye, out):
 def _nearer_m(
     normal: np.ndarray, corners: np.ndarray, position: np.ndarray, here: np.ndarray, rotation: np.ndarray, aside_m: np.ndarray
 ) -> float:
-    """How much nearer to the sun than a point the map may hold the triangle that it lies on, at the texels' centres up to
-    ``aside_m`` (2,) right and up of it: at most, over the points (rows, cols) that are ``here``.
+    """Return how much nearer to the sun than a point the map may hold the point's triangle, in metres.
 
-    Depths before the map's first are all one: a triangle that began there could not be told from what casts on it.
+    The result is the maximum over the points (rows, cols) that are ``here``. The map samples the triangle at texel centres up to
+    ``aside_m`` (2,) right and up of the point. It clamps depths in front of its first depth, and a triangle that starts there could
+    not be distinguished from its casters.
     """
     most_m = np.empty(len(here))
     in_shares(len(here), _nearer_in_rows, normal, corners, position, here, rotation, aside_m, most_m)
@@ -249,7 +269,7 @@ def _nearer_in_rows(first, last, normal, corners, position, here, rotation, asid
 
 
 def _extent_m(buffer: GeometryBuffer, here: np.ndarray) -> float:
-    """The largest coordinate of the points that are ``here`` and of their triangles, whose corners may lie far out of sight."""
+    """Return the largest coordinate of the points that are ``here`` and of their triangles, whose corners may lie out of sight."""
     extent_m = float(np.abs(light_bounds(buffer.position_frame_m, here, np.eye(3), np.zeros(3))).max())
     if buffer.corners_frame_m is None:
         return extent_m
@@ -260,7 +280,7 @@ def _extent_m(buffer: GeometryBuffer, here: np.ndarray) -> float:
 
 @compiled
 def _farthest_corners(first, last, corners, here, out):
-    """The largest coordinate, in each row, of corners (rows, cols, 9) that are ``here``."""
+    """Write the largest coordinate, in each row, of the corners (rows, cols, 9) that are ``here``."""
     for i in range(first, last):
         most = np.float32(0.0)
         for j in range(here.shape[1]):
@@ -271,15 +291,16 @@ def _farthest_corners(first, last, corners, here, out):
 
 
 def depth_steps(depth_bits: int) -> int:
-    """The steps from depth 0 to depth 1; those of a float are no larger near 1."""
+    """Return the number of steps from depth 0 to depth 1. Those of a float are no larger near 1."""
     return 2**16 - 1 if depth_bits == 16 else 2**24 - 1
 
 
 def _window(
     low: np.ndarray, high: np.ndarray, texel: np.ndarray, border: np.ndarray, stable: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """First texel and size in texels of the map over light bounds and a border; a stable one lies on the lattice of texels
-    counted from the anchor.
+    """Return the first texel and the size in texels of the map over light bounds and a border.
+
+    A stable map lies on the lattice of texels that starts at the anchor.
     """
     first = (np.floor(low[:2] / texel) if stable else low[:2] / texel) - border
     size = np.floor(high[:2] / texel - first).astype(np.int64) + 1 + border
@@ -287,7 +308,10 @@ def _window(
 
 
 def _stable_depths(low_m: float, high_m: float, step_m: float, steps: int) -> tuple[float, float]:
-    """Depth 0 and the depth step, metres, on the lattice of steps; coarser ones where the plan foresaw less depth."""
+    """Return depth 0 and the depth step, metres, on the lattice of steps.
+
+    The steps are coarser where the plan expected a smaller range.
+    """
     while True:
         near = float(np.floor(low_m / (step_m * 256))) * 256 * step_m
         if near + steps * step_m >= high_m:
@@ -296,5 +320,5 @@ def _stable_depths(low_m: float, high_m: float, step_m: float, steps: int) -> tu
 
 
 def _tight_depths(low_m: float, high_m: float, step_m: float, steps: int) -> tuple[float, float]:
-    """Depth 0 and the depth step, metres, of the bounds themselves."""
+    """Return depth 0 and the depth step, metres, of the bounds themselves."""
     return low_m, (high_m - low_m) / steps * (1.0 + 1e-6)

@@ -14,11 +14,11 @@ from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.level import SUN
 
 Windows = list[tuple[float, float]]
-"""Texels of each of a light's maps, and its area across the light in square metres."""
+"""Number of texels of each of a light's maps, and its area across the light in square metres."""
 
 
 def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSettings) -> Work:
-    """Of the sun's maps, or a lamp's."""
+    """Return the work of the sun's maps, or of a lamp's."""
     if isinstance(settings, ShadowMapSettings):
         windows = sun_windows(task.descriptor, settings)
         return {task.by_view("shadow_map"): _counts(task, windows, settings.filter, task.facing)}
@@ -30,7 +30,7 @@ def shadow_map_work(task: Workload, settings: ShadowMapSettings | LampMapSetting
 
 
 def perspective_map_work(task: Workload, settings: PerspectiveMapSettings) -> Work:
-    """Of a perspective map."""
+    """Return the work of a perspective map."""
     if settings.filter == "sun":
         return times_points(perspective_map_work(task, settings.model_copy(update={"filter": 1})), settings.light_points)
     windows = [(float(settings.map_size**2), task.seen_light_m2)]
@@ -38,7 +38,10 @@ def perspective_map_work(task: Workload, settings: PerspectiveMapSettings) -> Wo
 
 
 def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: float) -> Counts:
-    """Drawing depth maps and looking them up. Both together: a device may put off the one until the other needs it."""
+    """Return the counts of drawing depth maps and looking them up.
+
+    They are counted together, since a device may defer the drawing until the look-up needs it.
+    """
     count, texels = float(len(windows)), float(sum(texels for texels, _ in windows))
     leaves, trees = 0.0, 0.0
     for window_texels, window_m2 in windows:
@@ -46,15 +49,15 @@ def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: floa
         trees += task.trees_within(window_m2) if task.light == SUN else task.trees
     counts = {
         "blocks": 1.0, "maps": count, "fitted pixels": task.pixels * count, f"look-ups, filter {filter}": looked_up,
-        # The larger a map, the less of it a cache holds.
+        # A processor's cache holds a smaller share of a larger map.
         "look-ups by texels": looked_up * texels / max(count, 1.0) / 2.0**20,
         "texels": texels, "texels of ground": texels if task.caster_facts("relief") else 0.0, "texels of leaves": leaves,
-        # What casters cover of a map: nothing that is seen tells it of a lamp's.
+        # The share of a map that casters cover. It is unknown for a lamp.
         "texels in shadow": texels * task.facts.cast_share if task.light == SUN else 0.0,
         "triangles": count * task.triangles("meshes"), "trees": count * task.trees,
     }  # fmt: skip
     ground = {"ground": count * task.ground_triangles}
-    if task.in_map:  # the nodes of the block are looked at whatever casts
+    if task.in_map:  # the nodes of the block are read whatever casts
         ground |= {"pixels": task.pixels, "nodes": task.nodes}
     else:
         ground["trees drawn"] = trees
@@ -62,7 +65,10 @@ def _counts(task: Workload, windows: Windows, filter: int | str, looked_up: floa
 
 
 def sun_windows(descriptor: Descriptor, settings: ShadowMapSettings) -> Windows:
-    """Texels of each of a sun's maps and its area across the light, square metres, as ``skugga.shadows.maps.windows`` lays them."""
+    """Return the texels of each of the sun's maps and its area across the light, square metres.
+
+    The maps are those of ``skugga.shadows.maps.windows``.
+    """
     spans_m = []
     if descriptor.bands:
         near_m = 0.0

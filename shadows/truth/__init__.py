@@ -1,1 +1,1 @@
-"""The reference: `truth`, ray by ray, kept on disk; and the metrics that say how far a visibility is from it."""
+"""The ray-traced reference: algorithm `truth`, its disk cache, and error metrics of visibilities against it."""

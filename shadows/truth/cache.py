@@ -1,4 +1,4 @@
-"""Truth kept on disk, by content: the same points, triangles, sun and sub-samples give the same file."""
+"""Disk cache of truth. The cache key is a digest of the content: points, triangles, sun and number of sub-samples."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from skugga.terrain.user_cache import arrays_kept_in, user_cache
 from skugga.terrain.whole_files import replaced_whole
 
 TRUTH_CACHE_BYTES = 512 * 2**20
-"""Size of the folder above which the files used longest ago go."""
+"""Size limit of the folder. Beyond it the least recently used files are deleted."""
 
 _FIELDS = ("lit", "attached", "decidable", "there")
 
 
 DEFINITION = 3
-"""Counts what truth has meant so far: what was made by another definition is not taken."""
+"""Version of the definition of truth (part of the cache key)."""
 
 
 def cached_truth(
@@ -43,15 +43,15 @@ def cached_truth(
     folder: Path | None = None,
     make: Callable[..., Truth] = truth_of,
 ) -> Truth:
-    """``truth_of``, from disk where it has been made before. A folder that cannot be written is no error."""
+    """Return ``truth_of``, from the disk cache if possible. A read-only folder is no error."""
     folder = folder or user_cache("truth")
     path = folder / f"{content_key(buffer, scene, casters, samples, light)}.npz"
     shape = buffer.there.shape
     kept = arrays_kept_in(path)
     if kept is not None:
-        with suppress(KeyError, ValueError):  # a file of another kind is made anew
+        with suppress(KeyError, ValueError):  # replace a file of another format
             found = Truth(*(np.unpackbits(kept[name])[: shape[0] * shape[1]].reshape(shape).astype(bool) for name in _FIELDS))
-            with suppress(OSError):  # it may be read, but not be written
+            with suppress(OSError):  # the file may be read-only
                 path.touch()
             return found
     truth = make(buffer, scene, casters, samples, light=light)
@@ -67,7 +67,7 @@ def cached_truth(
 
 
 def content_key(buffer: GeometryBuffer, scene: Scene, casters: Casters, samples: int, light: str = SUN) -> str:
-    """A digest of all that truth depends on."""
+    """Return a digest of everything that truth depends on."""
     digest = hashlib.blake2b(digest_size=20)
     to_light = np.zeros(3)
     if light != SUN:

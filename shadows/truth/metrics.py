@@ -1,7 +1,8 @@
-"""What accuracy means: an algorithm's visibility against truth, pixel by pixel, on the same points.
+"""Error metrics of an algorithm's visibility against truth, pixel by pixel, at the same points.
 
-`D` are the decidable pixels of the surface. A pixel's class is shadow where visibility is under 0.5. Every figure is defined
-for every picture: a share of nothing is 0.
+- `D` is the set of decidable pixels of the surface.
+- The class of a pixel is shadow if visibility is less than 0.5, and lit otherwise.
+- All metrics are defined for all pictures: a share of an empty set is 0.
 """
 
 from __future__ import annotations
@@ -15,19 +16,19 @@ from skugga.terrain.cache import MIB, cached
 from skugga.terrain.compiled import compiled, internal
 
 INTERIOR_PX = 2.0
-"""Errors within this of truth's boundary (and within two texel footprints) are the boundary's, not the interior's."""
+"""Minimum distance of interior errors from truth's boundary, pixels. It is also at least two texel footprints."""
 
 MOST_INTERIOR = 0.001
-"""Share of the decidable pixels that may be wrong inside a shadow or a light: more is failure, not aliasing."""
+"""Upper bound of the share of decidable pixels that are interior errors. A larger share is a failure, not aliasing."""
 
 MIN_PART_PX = 8
-"""Size from which a connected part of wrong interior pixels counts as one."""
+"""Minimum size of a connected part of interior errors that counts."""
 
 COVERAGE_BLOCK_PX = 16
-"""Side of the blocks that coverage is compared in."""
+"""Side of the blocks in which coverage is compared."""
 
 LEAST_SIGHT = 0.2
-"""Share of the cast shadow that a figure has to see before it says anything of a picture: below that the picture is not tested."""
+"""Minimum share of the cast shadow that a metric must cover. Below it, the metric does not test the picture."""
 
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], bool)
 _SQUARE = np.ones((3, 3), bool)
@@ -35,29 +36,30 @@ _SQUARE = np.ones((3, 3), bool)
 
 @dataclass(frozen=True)
 class Errors:
-    """Figures of one picture; shares in [0, 1].
+    """Error metrics of one picture; shares in [0, 1].
 
     Attributes
     ----------
     wrong
-        Share of D whose class is wrong.
+        Share of D with the wrong class.
     wrong_cast
-        Wrong pixels as a share of those that truth or the algorithm puts in cast shadow (attached excluded); 0 without any.
+        Wrong pixels as a share of the pixels that truth or the algorithm puts in cast shadow (attached shadow excluded); 0 if there
+        are none.
     false_shadow, missed_shadow
-        Wrong among truth-lit and among truth-shadowed pixels of D.
+        Share of wrong pixels among the truly lit, and among the truly shadowed pixels of D.
     edge_mean, edge_p95, edge_mean_m, edge_p95_m
-        Symmetric distance between the class boundaries of shadow components that overlap, in pixels and in
-        metres; 0 where there are none.
+        Mean and 95th percentile of the symmetric distance between the boundaries of overlapping shadow components, in pixels and in
+        metres; 0 if there are none.
     interior, interior_parts
-        Share of D wrong and farther from truth's boundary than 2 px and two texel footprints; and the number of its
+        Share of D that is wrong and farther from truth's boundary than 2 px and two texel footprints, and the number of its
         connected parts of 8 px or more.
     interior_sees
-        Share of the true cast shadow that lies so far inside (``SeenShadow``): had all of it been lost, this much would show in
-        ``interior``. Coarse texels make it blind: then only ``wrong_cast`` tells.
+        Share of the true cast shadow that lies that far inside (``SeenShadow``). If all shadow were missed, ``interior`` would
+        count this share. Coarse texels make it small; then only ``wrong_cast`` is conclusive.
     boundary
         Share of the surface that is not decidable.
     soft_error
-        Mean absolute difference of visibility over the surface, from that of the light as an area where that is known.
+        Mean absolute error of visibility over the surface, against the visibility of the area light where it is known.
     """
 
     wrong: float
@@ -77,16 +79,18 @@ class Errors:
 
 @dataclass(frozen=True)
 class SeenShadow:
-    """How much of a picture's cast shadow a figure can see, and how much of it is wrong wherever the figure looks.
+    """Numbers of cast shadow pixels of a picture that a metric covers, and of wrong pixels in all of the picture.
 
     Attributes
     ----------
     cast_px
-        Decidable pixels in cast shadow by truth (attached excluded); of a figure of edges, their boundary.
+        Decidable pixels in cast shadow by truth (attached shadow excluded). For an edge metric, the boundary of the cast shadow.
     seen_px
-        Those that the figure would count, had the whole cast shadow been lost; of edges, those it found a counterpart to.
-    wrong_px, either_px
-        Decidable pixels that are not attached and wrong, and those that truth or the algorithm puts in cast shadow.
+        Those of them that the metric would count if all cast shadow were missed. For an edge metric, those with a counterpart.
+    wrong_px
+        Decidable pixels outside of attached shadow with the wrong class.
+    either_px
+        Decidable pixels outside of attached shadow that truth or the algorithm puts in cast shadow.
     """
 
     cast_px: int
@@ -96,17 +100,20 @@ class SeenShadow:
 
     @property
     def sees(self) -> float:
-        """Share of the cast shadow that the figure sees; 0 without any."""
+        """Share of the cast shadow that the metric covers; 0 without cast shadow."""
         return self.seen_px / self.cast_px if self.cast_px else 0.0
 
     @property
     def wrong_cast(self) -> float:
-        """Wrong pixels as a share of those that truth or the algorithm puts in cast shadow; 0 without any."""
+        """Wrong pixels as a share of the pixels that truth or the algorithm puts in cast shadow; 0 without any."""
         return self.wrong_px / self.either_px if self.either_px else 0.0
 
 
 def sight_of(dark: np.ndarray, truth: Truth, looks_at: np.ndarray) -> SeenShadow:
-    """What a figure that counts wrong pixels where ``looks_at`` says (rows, cols) sees of a class (rows, cols), True in shadow."""
+    """Return the shadow that a metric covers which counts wrong pixels in a mask.
+
+    ``dark`` is the algorithm's class (rows, cols), True in shadow; ``looks_at`` the metric's mask (rows, cols).
+    """
     known, true_dark = truth.decidable & ~truth.attached, ~truth.lit & truth.there
     dark, cast = dark & truth.there, known & true_dark
     counts = cast, cast & looks_at, known & (dark != true_dark), known & (dark | true_dark)
@@ -114,7 +121,7 @@ def sight_of(dark: np.ndarray, truth: Truth, looks_at: np.ndarray) -> SeenShadow
 
 
 def edge_sight(dark: np.ndarray, truth: Truth) -> SeenShadow:
-    """What distances between edges see: the boundary of those components of the cast shadow that the class meets at all."""
+    """Return the shadow that the edge metric covers: the boundary of the components of true shadow that ``dark`` overlaps."""
     from scipy.ndimage import label
 
     known, true_dark = truth.there & ~truth.attached, ~truth.lit & truth.there
@@ -127,7 +134,7 @@ def edge_sight(dark: np.ndarray, truth: Truth) -> SeenShadow:
 
 
 def far_inside(truth: Truth, texel_footprint_px: float | np.ndarray = 0.0) -> np.ndarray:
-    """Where ``interior`` looks (rows, cols): farther from truth's boundary than 2 px and two texel footprints."""
+    """Return the mask (rows, cols) of ``interior``: pixels farther from truth's boundary than 2 px and two texel footprints."""
     return _from_edges_px(truth) > np.maximum(INTERIOR_PX, 2.0 * texel_footprint_px)
 
 
@@ -138,11 +145,20 @@ def errors_of(
     texel_footprint_px: float | np.ndarray = 0.0,
     true_visibility: np.ndarray | None = None,
 ) -> Errors:
-    """Hold a visibility (rows, cols) in [0, 1], attached shadow included, against truth.
+    """Return the error metrics of a visibility against truth.
 
-    ``pixel_m`` is a pixel's side on the receiver; ``texel_footprint_px`` that of an algorithm's texel in pixels, if it has any:
-    one number, or one a pixel (rows, cols). ``true_visibility`` (rows, cols) is that of the light as an area, NaN where it is not
-    known; ``None``: the light is a point.
+    Parameters
+    ----------
+    visibility
+        Visibility (rows, cols) in [0, 1], attached shadow included.
+    truth
+        The truth at the same points.
+    pixel_m
+        Side of a pixel on the receiver, metres.
+    texel_footprint_px
+        Side of the algorithm's texels in pixels: a number, or one for each pixel (rows, cols); 0 without texels.
+    true_visibility
+        Visibility (rows, cols) of the area light, NaN where unknown; ``None``: a point light.
     """
     from scipy.ndimage import label
 
@@ -177,9 +193,9 @@ def errors_of(
 
 
 def edge_distances(dark: np.ndarray, true_dark: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Distances in pixels, both ways, between the boundaries of overlapping shadow components of two pictures.
+    """Return the distances (n,) in pixels, in both directions, between boundaries of overlapping shadow components.
 
-    A component that meets none of the other picture was lost or invented: it counts in ``interior``, not here.
+    A component without overlap in the other picture is missed or false shadow. It counts in ``interior``, not here.
     """
     from scipy.ndimage import label
     from scipy.spatial import KDTree
@@ -196,19 +212,19 @@ def edge_distances(dark: np.ndarray, true_dark: np.ndarray, there: np.ndarray) -
 
 
 def boundary(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Shadow pixels beside a lit one (of the four neighbours); the borders of surface and picture are no boundary."""
+    """Return the mask of shadow pixels with a lit 4-neighbour. Borders of the surface and the picture are no boundary."""
     from scipy.ndimage import binary_dilation
 
     return dark & binary_dilation(there & ~dark, structure=_CROSS)
 
 
 def interior(wrong: np.ndarray, true_dark: np.ndarray, there: np.ndarray, distance_px: float | np.ndarray) -> np.ndarray:
-    """Wrong pixels farther than a distance from truth's boundary: all of them where truth has none."""
+    """Return the mask of wrong pixels farther than a distance from truth's boundary; all of them if truth has no boundary."""
     return wrong & (from_edges_px(true_dark, there) > distance_px)
 
 
 def from_edges_px(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Each pixel's distance (rows, cols) to the nearest one on either side of a shadow's boundary; infinite without any."""
+    """Return each pixel's distance (rows, cols) to the nearest pixel at either side of a shadow boundary; infinite without any."""
     from scipy.ndimage import distance_transform_edt
 
     edge = boundary(dark, there) | boundary(there & ~dark, there)
@@ -216,15 +232,16 @@ def from_edges_px(dark: np.ndarray, there: np.ndarray) -> np.ndarray:
 
 
 def seen_from(row: np.ndarray, col: np.ndarray, distance_px: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Which pixels of a picture, bool of a shape, decide whether a shadow's boundary runs within distances (n,) of pixels (n,)."""
+    """Return the mask (of a shape) of pixels whose classes ``far_from_edges`` reads for pixels (n,) and distances (n,)."""
     out = np.zeros(shape, bool)
     _mark_round(row, col, distance_px, out)
     return out
 
 
 def far_from_edges(dark: np.ndarray, there: np.ndarray, row: np.ndarray, col: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
-    """Which pixels (n,) lie farther than distances (n,) from both sides of a shadow's boundary (``from_edges_px``): bool (n,), of
-    the classes ``seen_from`` there alone.
+    """Return the mask (n,) of pixels farther than distances (n,) from both sides of any shadow boundary (``from_edges_px``).
+
+    It reads only the classes in the mask of ``seen_from``.
     """
     return _far_from_edges(dark, there, row, col, distance_px)
 
@@ -258,7 +275,7 @@ def _far_from_edges(dark, there, row, col, distance):
 
 @internal
 def _is_edge(dark, there, i, j):
-    """Whether one of the four pixels beside one is of the other class."""
+    """Return whether a 4-neighbour of a pixel has the other class."""
     rows, cols = dark.shape
     own = dark[i, j]
     return (
@@ -271,14 +288,14 @@ def _is_edge(dark, there, i, j):
 
 @cached("light", 512 * MIB)
 def _from_edges_px(truth: Truth) -> np.ndarray:
-    """The distances from the edges of a truth that many pictures are held against."""
+    """Return ``from_edges_px`` of a truth, cached because many pictures are compared with it."""
     return from_edges_px(~truth.lit & truth.there, truth.there)
 
 
 def block_shares(shadow_share: np.ndarray) -> np.ndarray:
-    """Means of whole 16 x 16 px blocks of a picture (rows, cols); NaN where a block has no surface.
+    """Return the means of 16 x 16 px blocks of a picture (rows, cols), NaN for blocks without surface.
 
-    Rows and columns at the end that fill no block are left out.
+    Incomplete blocks at the last rows and columns are left out.
     """
     rows, cols = (size // COVERAGE_BLOCK_PX * COVERAGE_BLOCK_PX for size in shadow_share.shape)
     blocks = shadow_share[:rows, :cols].reshape(
@@ -291,13 +308,13 @@ def block_shares(shadow_share: np.ndarray) -> np.ndarray:
 
 
 def coverage_error(share: np.ndarray, true_share: np.ndarray) -> float:
-    """Mean difference of the shadow shares of blocks (any shape), in [0, 1]; NaN blocks do not count."""
+    """Return the mean absolute difference of blocks' shadow shares (any shape), in [0, 1]. NaN blocks do not count."""
     difference = np.abs(share - true_share)
     return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
 
 
 def soft_error(visibility: np.ndarray, true_visibility: np.ndarray) -> float:
-    """Mean absolute difference of visibilities in [0, 1] over the surface, as far as both are known (NaN: not)."""
+    """Return the mean absolute difference of visibilities in [0, 1]. Pixels with NaN in either do not count."""
     difference = np.abs(visibility - true_visibility)
     return float(np.nanmean(difference)) if np.isfinite(difference).any() else 0.0
 

@@ -1,9 +1,10 @@
-"""`truth`: the sun's visibility by rays, through the same triangles and from the same points as every algorithm's.
+"""`truth`: ray-traced visibility of a light, through the same triangles and from the same points as all algorithms.
 
-Class of a pixel: lit if its triangle's geometric normal faces the sun and a ray from its visible point, lifted off the
-triangle by the offset that ``skugga.terrain.casters.rays`` derives, meets nothing. A pixel is *decidable* if the answers at one,
-two and four offsets and at S stratified sub-samples of the pixel all agree; else it is boundary, and no error is counted there. Of
-a point that several triangles share the one that faces the sun most counts (``skugga.terrain.gbuffer.shared_points``).
+- A pixel is lit if its triangle's geometric normal faces the sun, and a ray from its visible point to the sun hits nothing. The ray
+  starts off the triangle by the offset that ``skugga.terrain.casters.rays`` derives.
+- A pixel is *decidable* if the results at one, two and four offsets, and at S stratified sub-samples of the pixel, all agree.
+  Otherwise it is boundary, where no error counts.
+- If several triangles share a point, the one that faces the sun most counts (``skugga.terrain.gbuffer.shared_points``).
 """
 
 from __future__ import annotations
@@ -38,28 +39,36 @@ from skugga.terrain.lights import light_position
 from skugga.terrain.scene import Scene
 
 UNLIMITED_TRIANGLES = 2**31
-"""A limit that no ground reaches: its mesh is whole."""
+"""Triangle limit that no ground reaches: its mesh is not decimated."""
 
 PASSES = ("rays",)
 
 SOFT_SAMPLES = 64
-"""Points of a light that is to be an area."""
+"""Samples of an area light."""
 
 ALL_KINDS: tuple[CasterKind, ...] = get_args(CasterKind)
 
 
 class TruthSettings(AlgorithmSettings):
-    """Settings of ray-traced truth: points over the sun's disc, or a lamp's ball (1: its middle alone)."""
+    """Settings of ray-traced truth: samples of the sun's disc or a lamp's sphere (1: its centre only)."""
 
     light_samples: int = Field(default=1, ge=1, le=1024)
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Truth of one buffer under one sun; bool arrays (rows, cols), False off the surface.
+    """Truth of one buffer under one light: bool masks (rows, cols), False off the surface.
 
-    ``lit`` is the class at the visible points, ``attached`` where the normal does not face the sun, ``decidable`` where
-    truth can be held against an algorithm, ``there`` where there is a surface.
+    Attributes
+    ----------
+    lit
+        Pixels whose visible point is lit.
+    attached
+        Pixels in attached shadow: their normal does not face the light.
+    decidable
+        Pixels where an algorithm can be compared with truth.
+    there
+        Pixels with a surface.
     """
 
     lit: np.ndarray
@@ -69,12 +78,12 @@ class Truth:
 
     @property
     def boundary(self) -> float:
-        """Share of the surface's pixels that are not decidable; 0 without a surface."""
+        """Share of undecidable pixels of the surface; 0 without a surface."""
         return float(1.0 - self.decidable.sum() / self.there.sum()) if self.there.any() else 0.0
 
     @property
     def cast(self) -> float:
-        """Share of the surface's pixels in cast shadow (attached excluded); 0 without a surface."""
+        """Share of the surface's pixels in cast shadow (attached shadow excluded); 0 without a surface."""
         return float((self.there & ~self.attached & ~self.lit).sum() / self.there.sum()) if self.there.any() else 0.0
 
 
@@ -87,9 +96,9 @@ def fill(
     settings: TruthSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Visibility of a light (rows, cols), float32 in [0, 1]: the common interface of the algorithms.
+    """Return the visibility of a light, float32 (rows, cols) in [0, 1]: the interface of all algorithms.
 
-    With ``light_samples`` over 1 the light is an area of that many stratified points, and visibility their mean.
+    With more than one of ``light_samples`` the light is an area, and visibility is the mean over that many stratified points.
     """
     (rays_pass,) = log.named(light, kinds, PASSES)
     with log.run(rays_pass):
@@ -107,8 +116,26 @@ def truth_of(
     rays: RayScene | None = None,
     nodes: MapNodes | None = None,
 ) -> Truth:
-    """The classes of a buffer's points and where they are decidable, with ``samples`` (a square) sub-samples a pixel. ``rays`` is
-    what they can meet, and ``nodes`` what the sub-samples share, where these were made before (``ray_scene``, ``sample_nodes``).
+    """Return the truth of a buffer's points.
+
+    Parameters
+    ----------
+    buffer
+        The geometry buffer.
+    scene
+        Its scene.
+    casters
+        The casters that can shade it.
+    samples
+        Sub-samples of a pixel, a square number.
+    light
+        The sun or a lamp's name.
+    kinds
+        Kinds of casters.
+    rays
+        Occluders, if already built (``ray_scene``).
+    nodes
+        Ground nodes that the sub-samples share, if already computed (``sample_nodes``).
     """
     dark = np.zeros(buffer.there.shape, bool)
     turned = attached(buffer, scene, light) & buffer.there
@@ -127,13 +154,15 @@ def truth_of(
 
 
 def sample_nodes(buffer: GeometryBuffer, scene: Scene, samples: int) -> MapNodes | None:
-    """The ground's nodes that the sub-samples of a map's buffer share, and of any with some of its pixels; else ``None``."""
+    """Return the ground nodes that the sub-samples of a map's buffer or its parts share; ``None`` if they share none."""
     return shared_nodes(scene, sub_views(buffer.view, samples), buffer.frame)
 
 
 def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
-    """Visibility (rows, cols) float32 of a light as the area that it is by so many points of the disc that is seen of it; 1: its
-    middle. Attached shadow is in it, by the facing of each point; 0 off the surface. A lamp without a radius is a point.
+    """Return the visibility float32 (rows, cols) of an area light, the mean over samples of its visible disc.
+
+    Attached shadow is included, tested for each sample. Pixels off the surface are 0. One sample means the light's centre. A lamp
+    without a radius is a point light.
     """
     if samples == 1 or (light != SUN and scene.lamps[light].radius_m == 0.0):
         return lit_from(buffer, scene, light, rays).astype(np.float32)
@@ -147,7 +176,7 @@ def area_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayS
 
 
 def _ball_visibility(buffer: GeometryBuffer, scene: Scene, light: str, rays: RayScene, samples: int) -> np.ndarray:
-    """That of a lamp's ball, each point of which shines into the lamp's cone."""
+    """Return the visibility float32 (rows, cols) of a spherical lamp, all points of which shine into the lamp's cone."""
     lamp, source = scene.lamps[light], scene.light_position(light, buffer.frame)
     _, axis, _ = lamp.in_frame(buffer.frame)
     buffer, visibility = on_smooth_ground(buffer, source), np.zeros(buffer.there.shape, np.float32)
@@ -177,10 +206,10 @@ def coverage_truth(
     light: str = SUN,
     rays: RayScene | None = None,
 ) -> np.ndarray:
-    """True shadow shares of blocks of ``block_px`` pixels: (rows // block_px, cols // block_px), NaN where none was taken.
+    """Return true shadow shares of a sample of blocks, float64 (rows // block_px, cols // block_px), NaN for other blocks.
 
-    At most ``blocks`` of those with a surface are taken, stratified over the picture; a pixel has ``samples`` (a square)
-    regular sub-samples. ``rays`` as for ``truth_of``.
+    At most ``blocks`` blocks with a surface are sampled, stratified over the picture. A pixel has ``samples`` (a square number)
+    regular sub-samples. ``rays`` is as in ``truth_of``.
     """
     shape = tuple(size // block_px for size in buffer.there.shape)
     out = np.full(shape, np.nan)
@@ -207,11 +236,11 @@ def coverage_truth(
 
 
 def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_px: int = 256) -> float:
-    """Simplification: share of pixels whose truth differs between the drawn ground and the full raster's.
+    """Return the simplification error: the share of pixels whose truth differs between the drawn and the full ground.
 
-    In a map the full ground is the raster's bilinear one on a grid of half its cells (or half the drawn step, if that is
-    finer); in perspective it is the mesh without decimation. Taken on ``size_px`` pixels a side round the middle of what is
-    there; both truths at the pixels' own points. 0 without a sun.
+    In a map the full ground is the raster's bilinear surface on a grid of half its cells (or half the drawn step, if that is
+    finer). In perspective it is the mesh without decimation. The test uses a window of ``size_px`` pixels a side round the centre
+    of the surface, and each ground's own points. It is 0 without a sun.
     """
     view = buffer.view
     if not buffer.there.any() or not scene.sun_is_up:
@@ -231,7 +260,7 @@ def surface_error(buffer: GeometryBuffer, scene: Scene, casters: Casters, size_p
         buffers = geometry_of(scene, part, buffer.frame), geometry_of(scene, part, buffer.frame, UNLIMITED_TRIANGLES)
     if not all(caster_buffer.there.any() for caster_buffer in buffers):
         return 0.0
-    # A map's nodes are the same in every block of it: the whole buffer's rays, which are kept, see its part too.
+    # All blocks of a map share its nodes, so the cached rays of the whole buffer serve its part, too.
     caster_buffers = (buffer if isinstance(part, MapView) else buffers[0], buffers[1])
     rays = (
         ray_scene(caster_buffer, scene, casters if caster_buffer is buffer else casters_of(scene, caster_buffer), ALL_KINDS)
@@ -255,8 +284,9 @@ def _full_detail(scene: Scene, part: MapView) -> MapView:
 def ray_scene(
     buffer: GeometryBuffer, scene: Scene, casters: Casters, kinds: tuple[CasterKind, ...], walked: bool = False
 ) -> RayScene:
-    """Everything of some kinds that can shade a buffer's points; the last one is kept, since building it costs most. ``walked``:
-    for so few rays to the sun that its ground is better walked than built (``RayScene``).
+    """Return the occluders of some kinds that can shade a buffer's points, cached because building them dominates the cost.
+
+    With ``walked`` rays walk the ground's cells instead of a BVH, which is faster for a few rays to the sun (``RayScene``).
     """
     trees = caster_trees(buffer, kinds)
     if trees is not None and scene.light is not None and not scene.lamps:
@@ -269,7 +299,7 @@ def ray_scene(
 
 
 def pixels_m(buffer: GeometryBuffer) -> float:
-    """The largest side of a buffer's pixels on a surface that faces the viewer, metres."""
+    """Return the largest side of a buffer's pixels on a surface that faces the viewer, metres."""
     if isinstance(buffer.view, PerspectiveView):
         eye, _ = buffer.view.in_frame(buffer.frame)
         return float(np.linalg.norm(buffer.position_frame_m[buffer.there] - eye, axis=-1).max(initial=0.0)) * buffer.view.pixel
@@ -286,7 +316,7 @@ def lit_from(
     offsets: float = 1.0,
     wanted: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Where a buffer's points, or those ``wanted`` (rows, cols) of them, see a light: bool (rows, cols), False off the surface."""
+    """Return the mask (rows, cols) of a buffer's points that see a light, False off the surface and outside of ``wanted``."""
     if light == SUN:
         assert scene.sun is not None
         return lit_towards(buffer, rays, scene.sun.in_frame(buffer.frame), offsets, wanted)
@@ -302,7 +332,7 @@ def lit_from(
 def _lit_over(
     buffer: GeometryBuffer, rays: RayScene, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offsets: float
 ) -> np.ndarray:
-    """Where nothing stops the rays from those of a buffer's points that are ``facing``, over ways (rows, cols, 3) to a lamp."""
+    """Return the mask (rows, cols) of ``facing`` points from which nothing blocks the ray ``to_light`` (rows, cols, 3)."""
     way = to_light[facing]
     length = np.linalg.norm(way, axis=-1)
     way /= length[:, None]
@@ -315,8 +345,9 @@ def _lit_over(
 def lit_towards(
     buffer: GeometryBuffer, rays: RayScene, direction: np.ndarray, offsets: float = 1.0, wanted: np.ndarray | None = None
 ) -> np.ndarray:
-    """Where a buffer's points, or those ``wanted`` (rows, cols) of them, see a direction (3,) of its frame: bool (rows, cols),
-    False off the surface.
+    """Return the mask (rows, cols) of a buffer's points that see a direction (3,) of its frame.
+
+    It is False off the surface and outside of ``wanted``.
     """
     direction = np.asarray(direction, np.float64)
     source = light_position(direction, 0.0)
@@ -334,17 +365,20 @@ def lit_towards(
 def _lifted(
     buffer: GeometryBuffer, facing: np.ndarray, normals: FacingNormals, to_light: np.ndarray, offset_m: float
 ) -> np.ndarray:
-    """Those of a buffer's points that are ``facing`` a light, lifted off their triangles to the side that it comes from."""
+    """Return the points (n, 3) in the mask ``facing``, moved off their triangles to the light's side."""
     side = np.where((normals.normal_frame[facing] * to_light).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
     lift = buffer.normal_frame if normals.lift_frame is None else normals.lift_frame
     return buffer.position_frame_m[facing] + offset_m * side * lift[facing]
 
 
 def sub_views(view: MapView | PerspectiveView, samples: int, seed: int = 0) -> list[MapView | PerspectiveView]:
-    """Views shifted within a pixel: one place in each of ``samples`` (a square number) strata, drawn by a seed."""
+    """Return views shifted within a pixel: a random offset in each of ``samples`` (a square number) strata.
+
+    Raises ``ValueError`` if ``samples`` is no square number.
+    """
     side = int(round(samples**0.5))
     if side * side != samples:
-        raise ValueError(f"samples: {samples} is not a square")
+        raise ValueError(f"samples: {samples} is not a square number. Use 1, 4, 9, 16 ...")
     rng = np.random.default_rng(seed)
     places = [((i + rng.random()) / side - 0.5, (j + rng.random()) / side - 0.5) for i in range(side) for j in range(side)]
     return [view.shifted(row, col) for row, col in places]

@@ -1,14 +1,14 @@
-"""Counting shadow volumes in the pixels of a view, through the stencil.
+"""Count shadow volumes in the pixels of a view, through the stencil.
 
-A surface is held to lie before its near cap: it counts as behind the point, and not as before it.
+A surface counts as in front of its near cap: the cap lies behind the point.
 
-Each caster's volume has a sum of its own in every pixel, either of its faces before the point (z-pass), which is right while
-the near plane lies outside of it, or of those behind (z-fail), which is right always but takes near and far caps. So both go
-into one stencil. Which it is says whether the caster's bounds reach into what the light would have to pass to shade the near
-plane's rectangle (Everitt and Kilgard 2002). A map is seen from infinitely far above: z-pass, and under a lamp the volumes that
-hold even that place count in every pixel.
+Each caster's volume adds a sum of its own in every pixel. The sum is over its faces in front of the point (z-pass), or over those
+behind it (z-fail). Z-pass is right while the near plane lies outside of the volume. Z-fail is always right, but needs near and far
+caps. Both sums add up in one stencil. A volume is counted by z-fail if the caster's bounds reach into the region between the light
+and the near plane's rectangle (Everitt and Kilgard 2002). A map is seen from infinitely far above and uses z-pass. Under a lamp,
+volumes that contain even that viewpoint count in every pixel.
 
-Volumes are drawn in rectangles of tiles that hold points, and of the faces only those that matter there
+Volumes are drawn in rectangles of tiles that contain points. Each rectangle draws only the faces that matter there
 (``skugga.shadows.volumes.tiles``).
 """
 
@@ -39,17 +39,18 @@ COUNT_BITS = ~MARK_BIT & 0xFF
 """The bits of the stencil that count."""
 
 MAP_STEPS = 16.0
-"""Steps of a float32 depth that faces are drawn farther away in a map: seen from above, the faces of a sun on the horizon are
-level, and have no slope that would move them. Corners, their clip coordinates and what a rasteriser makes of a face that goes to
-infinity are each rounded to a few; truth's rays start as many units in the last place off their triangles
-(``skugga.terrain.casters.rays``).
+"""Steps of a float32 depth by which faces are drawn farther away in a map.
+
+Seen from above, the faces of a sun on the horizon are level, and have no slope that a polygon offset could use. Corners, their clip
+coordinates and the rasterised depth of a face that extends to infinity are each rounded to a few steps. Truth's rays start as many
+units in the last place off their triangles (``skugga.terrain.casters.rays``).
 """
 
 ALONG = 1e-6
-"""A sun is along an axis or a diagonal where the tangent of the angle between them is less."""
+"""Upper bound of the tangent of the angle between the sun and an axis or a diagonal along which it counts as aligned."""
 
 TOWARDS_EYE = 1.0 + 2.0**-10
-"""How much nearer silhouettes are drawn than the surfaces that they lie on."""
+"""Factor of the depth by which silhouettes are drawn nearer than the surfaces that they lie on."""
 
 
 def count(
@@ -62,9 +63,10 @@ def count(
     marked: bool,
     record: PassRecord,
 ) -> np.ndarray:
-    """How many volumes hold each point of a buffer, uint8 (rows, cols), at most 127; 0 where it is not ``wanted``.
+    """Return the number of volumes that contain each point of a buffer, uint8 (rows, cols), at most 127.
 
-    With ``marked`` a bit of the stencil rejects all other pixels of the view; those that are no samples always are.
+    It is 0 where a point is not ``wanted``. If ``marked`` is true, a bit of the stencil rejects all other pixels of the view.
+    Pixels of the samples' view that are no samples are always rejected.
     """
     counts = np.zeros(wanted.shape, np.uint8)
     if not any(len(volume_set.faces) for volume_set in volumes):
@@ -83,11 +85,11 @@ def count(
 
 
 def _along_pixels(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> bool:
-    """Whether sides of volumes may run through the very centres of pixels: in a flat world's map, under a sun along the axes or the
-    diagonals of its pixels.
+    """Return whether sides of volumes may pass exactly through pixel centres.
 
-    There a rasteriser gives a centre to one side alone, always to the same. A point on a side is in the volume, as a ray that meets
-    an edge is stopped; so such a view is counted the other way about, too, where the centre falls to the other side.
+    That is in a flat world's map, under a sun along the axes or the diagonals of its pixels. A rasteriser assigns such a centre to
+    one side only, always the same. A point on a side lies in the volume, as an edge stops a ray that meets it. Such a view is
+    therefore counted a second time, rotated by half a turn, where the centre falls to the other side.
     """
     view = buffer.view
     if not isinstance(view, MapView) or light[3] != 0.0 or not scene.world.flat:
@@ -100,19 +102,22 @@ def _along_pixels(buffer: GeometryBuffer, scene: Scene, light: np.ndarray) -> bo
 
 
 def _turned_about(points: SeenPoints) -> SeenPoints:
-    """Points in the view turned by half a turn about its axis."""
+    """Return the points in the view rotated by half a turn about its axis."""
     rows, cols = points.size
     clip = points.clip_from_frame * np.array([[-1.0], [-1.0], [1.0], [1.0]])
     return replace(points, row=rows - 1 - points.row, col=cols - 1 - points.col, clip_from_frame=clip)
 
 
 def faces_before(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes]) -> np.ndarray:
-    """How many faces of volumes lie before what is seen, uint8 (rows, cols) of a view's own pixels, at most 255."""
+    """Return the number of faces of volumes in front of the visible surface, at most 255.
+
+    The result is uint8 (rows, cols) of a view's own pixels.
+    """
     return _drawn_over(buffer, scene, volumes, "faces")
 
 
 def silhouettes_seen(buffer: GeometryBuffer, scene: Scene, volumes: list[Volumes]) -> np.ndarray:
-    """Where silhouettes are seen, uint8 (rows, cols) of a view's own pixels, 255 or 0."""
+    """Return where silhouettes are visible, uint8 (rows, cols) of a view's own pixels, 255 or 0."""
     return _drawn_over(buffer, scene, volumes, "seen")
 
 
@@ -152,7 +157,7 @@ def _counted(
     marked: bool,
     record: PassRecord,
 ) -> np.ndarray:
-    """The counts (n,) uint8 of some points."""
+    """Return the counts (n,) uint8 of some points."""
     gl, size = device(), points.size
     from_above = points.near_frame_m is None
     clamped, away_steps = from_above and light[3] != 0.0, MAP_STEPS if from_above else 0.0
@@ -187,10 +192,10 @@ def _counted(
 
 
 def _layers_round_the_viewer(volumes: Volumes, points: SeenPoints, lamp: np.ndarray) -> int:
-    """How many volumes under a lamp hold the viewer of a map, infinitely far away: casting triangles on the way there from the
-    lamp.
+    """Return the number of volumes under a lamp that contain the viewer of a map, infinitely far away.
 
-    By the intersection of T. Moller and B. Trumbore, Fast, Minimum Storage Ray-Triangle Intersection, 1997.
+    They are the casting triangles on the line from the lamp to the viewer. The intersection is that of T. Moller and B. Trumbore,
+    Fast, Minimum Storage Ray-Triangle Intersection, 1997.
     """
     clip = points.clip_from_frame
     towards = np.cross(clip[0, :3], clip[1, :3])
@@ -206,7 +211,7 @@ def _layers_round_the_viewer(volumes: Volumes, points: SeenPoints, lamp: np.ndar
 
 
 def _ways(volumes: Volumes, points: SeenPoints, light: np.ndarray, settings: StencilSettings) -> list[tuple[Counting, np.ndarray]]:
-    """The ways to count and the faces (m, 3) that are counted so."""
+    """Return the counting methods, each with the faces (m, 3) that it counts."""
     if points.near_frame_m is None:
         return [("z_pass", volumes.faces)]
     if settings.counting == "z_fail":
@@ -216,7 +221,7 @@ def _ways(volumes: Volumes, points: SeenPoints, light: np.ndarray, settings: Ste
 
 
 def _render(gl: Device, target: Framebuffer, array: moderngl.VertexArray, parts: np.ndarray, starts: np.ndarray) -> None:
-    """Draw the faces of each rectangle of a framebuffer, and none of them outside of it."""
+    """Draw the faces of each rectangle of a framebuffer, clipped to it."""
     for part, first, end in zip(parts.tolist(), starts[:-1].tolist(), starts[1:].tolist(), strict=True):
         if end > first:
             target.scissor = tuple(part)

@@ -1,4 +1,4 @@
-"""The edges of triangle meshes, and the connected parts that they make."""
+"""Edges of triangle meshes, and their connected parts."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from skugga.terrain.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Which edges the sides of triangles lie on, whatever the light.
+    """The edges of triangles, for any light.
 
-    Vertices at the very same float32 position count as one. A triangle with two corners in one place is degenerate: its sides
-    lie on no edge.
+    Vertices at the same float32 position count as one. A triangle with two corners at one position is degenerate: its sides lie on
+    no edge.
 
     Attributes
     ----------
     ends
-        int32 (e, 2), vertex numbers, one for each place; the first is the smaller.
+        int32 (e, 2): vertex numbers, one per position; the first is the smaller.
     of_triangle
-        int32 (m, 3), the edge of each side, from a triangle's corners 0 to 1, 1 to 2 and 2 to 0; -1 for a degenerate one's.
+        int32 (m, 3): the edge of each side, from a triangle's corners 0 to 1, 1 to 2 and 2 to 0; -1 for a degenerate triangle.
     along
-        int8 (m, 3): +1 where a side goes from the edge's first end to its second, -1 the other way, 0 for a degenerate one's.
+        int8 (m, 3): +1 where a side runs from the edge's first end to its second, -1 the other way, 0 for a degenerate triangle.
     """
 
     ends: np.ndarray
@@ -33,9 +33,9 @@ class Edges:
 
 
 def edges_of(vertices: np.ndarray, triangles: np.ndarray) -> Edges:
-    """The edges of triangles (m, 3) of vertices (n, 3), of which those in one place as float32 are one.
+    """Return the edges of triangles (m, 3) of vertices (n, 3). Vertices at one float32 position count as one.
 
-    Raises ``InputError`` for a triangle of vertices that there are not.
+    Raises ``InputError`` for a triangle with a vertex number out of range.
     """
     places = _places(np.asarray(vertices, np.float32).reshape(-1, 3))
     triangles = np.asarray(triangles).reshape(-1, 3)
@@ -55,18 +55,18 @@ def edges_of(vertices: np.ndarray, triangles: np.ndarray) -> Edges:
 
 
 def signed_sums(edges: Edges, turns: np.ndarray) -> np.ndarray:
-    """How often each edge is run along from its first end to its second, int32 (e,), less how often the other way.
+    """Return the signed number of sides along each edge, int32 (e,): from its first end to its second, minus the other way.
 
-    The triangles run round as they are where ``turns`` (m,) is +1, the other way where it is -1, and not at all where it is 0.
+    ``turns`` (m,) orients the triangles: +1 keeps them, -1 flips them, and 0 leaves them out.
     """
     weights = (edges.along * np.asarray(turns, np.int8)[:, None]).ravel()
-    # Bin 0 takes the sides of degenerate triangles.
+    # Bin 0 collects the sides of degenerate triangles.
     sums = np.bincount(edges.of_triangle.ravel() + 1, weights, minlength=len(edges.ends) + 1)
     return sums[1:].astype(np.int32)
 
 
 def connected_parts(edges: Edges) -> np.ndarray:
-    """The number (m,) int32 of each triangle's part: all triangles that are connected through edges."""
+    """Return the number (m,) int32 of each triangle's part. A part is a set of triangles connected through edges."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -78,9 +78,9 @@ def connected_parts(edges: Edges) -> np.ndarray:
 
 
 def closed_parts(edges: Edges) -> np.ndarray:
-    """Which triangles (m,), bool, belong to a part that bounds a body: closed, and all of its triangles oriented alike.
+    """Return which triangles (m,), bool, belong to a part that bounds a body: closed and consistently oriented.
 
-    That is where each edge of the part is run along as often one way as the other, so that the part's signed boundary is zero.
+    Each edge of such a part has as many sides in one direction as in the other, so the part's signed boundary is zero.
     """
     part = connected_parts(edges)
     uneven = signed_sums(edges, np.ones(len(part), np.int8)) != 0
@@ -91,7 +91,7 @@ def closed_parts(edges: Edges) -> np.ndarray:
 
 
 def _places(vertices: np.ndarray) -> np.ndarray:
-    """One vertex number (n,) int32 for all vertices in one place: that of the first."""
+    """Return one vertex number (n,) int32 for all vertices at one position: that of the first."""
     bits = (vertices + np.float32(0.0)).view(np.uint32)  # -0 becomes 0
     column, _ = _numbered(_pairs(bits[:, 0], bits[:, 1]))
     number, first = _numbered(_pairs(column, bits[:, 2]))
@@ -99,16 +99,16 @@ def _places(vertices: np.ndarray) -> np.ndarray:
 
 
 def _pairs(high: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """Pairs of 32 bits as one number (n,) uint64."""
+    """Return pairs of 32 bits as one number (n,) uint64."""
     return high.astype(np.uint64) << np.uint64(32) | low.astype(np.uint64)
 
 
 @compiled
 def _numbered(keys):
-    """Numbers (n,) int32 of keys (n,) uint64, counted as they first appear, and where each appears first, int32.
+    """Return the numbers (n,) int32 of keys (n,) uint64 in the order of their first appearance, and each key's first index, int32.
 
-    An open hash table at most half full; the keys' bits are mixed as in SplitMix64 (Steele, Lea and Flood 2014, "Fast splittable
-    pseudorandom number generators", OOPSLA).
+    It is an open hash table, at most half full. The keys' bits are mixed as in SplitMix64 (Steele, Lea and Flood 2014, "Fast
+    splittable pseudorandom number generators", OOPSLA).
     """
     size = 16
     while size < 2 * len(keys):

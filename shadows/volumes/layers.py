@@ -1,9 +1,9 @@
-"""How many layers of shadow volumes can cover a point, and what to draw at a time so that they never exceed a counter.
+"""Upper bounds of the layers of shadow volumes over a point, and batches of casters that keep them within the range of a counter.
 
-The layers over a point are the casting triangles between it and the light, so they are at most the triangles that cover the
-point as seen from the light. That number is the silhouette's winding number: it is 0 where no triangle is, and on the way across a
-directed edge from its right to its left it grows by the edge's multiplicity. All bounds here count such crossings; they hold for
-triangles moved by rounding as well, at every point that rounding does not carry across an edge.
+The layers over a point are the casting triangles between it and the light. They are at most the triangles that cover the point as
+seen from the light. That number is the silhouette's winding number: 0 where no triangle is. Across a directed edge, from its right
+to its left, it grows by the edge's multiplicity. All bounds here count such crossings. They also hold for triangles moved by
+rounding, at every point that rounding does not carry across an edge.
 """
 
 from __future__ import annotations
@@ -19,46 +19,49 @@ MAX_STENCIL_LAYERS = 255
 """The largest number of layers that a stencil of 8 bits holds."""
 
 MOST_LUNES = 4096
-"""Into how many lunes directions are cut at most."""
+"""Upper bound of the number of lunes into which directions are cut."""
 
 LEAST_LUNES = 16
-"""Into how many a full circle is cut at least: each must stay well below a half-circle."""
+"""Lower bound of the number of lunes in a full circle. Each lune must remain well below a half-circle."""
 
 LINES_PER_EDGE = 0.5
-"""How many lines between lunes an edge may cross, in the mean."""
+"""Mean number of lines between lunes that an edge may cross."""
 
 NEAR_PLANE_DEG = 0.1
-"""A light no farther than this from the near plane sweeps no volume that could be told from rounding."""
+"""Angle between a light and the near plane up to which the near-clip volume is no larger than rounding."""
 
 ANGLE_TOLERANCE = 1e-9
-"""Share of its distance, or angle, by which an edge must pass the poles' axis for rounding not to matter."""
+"""Smallest clearance of an edge from the poles' axis that is safe despite rounding.
+
+It is a share of the edge's distance, or an angle.
+"""
 
 POLE_AXIS = np.array([0.4364, 0.2182, 0.8729])
-"""A direction of length 1 that things built square do not line up with."""
+"""A direction of length 1 with which rectangular buildings do not align."""
 
 
 def most_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) -> int:
-    """A bound of how many layers of the volumes of vertices (n, 3) can cover any point; never more than there are caps.
+    """Return an upper bound of the layers of the volumes of vertices (n, 3) over any point, at most the number of caps.
 
-    Directions from the light have an angle phi round an axis, rising to the left with the axis upwards, and are cut into lunes by
-    half-circles phi = phi_k between the poles. On a plane one unit away from the light, ahead in the middle of a lune, the
-    half-circles and the edges are straight lines; let v be the height there. The count of layers at the lower pole, N(pole), is
-    found triangle by triangle. Along the half-circle phi_k it is known exactly: with rising v it grows by the multiplicity m at an
-    edge that runs to the right, and falls at one that runs to the left. From there to the left, within the lune, it grows only at
-    edges that run upwards. So
+    Directions from the light have an angle phi around an axis, rising to the left with the axis upwards. Half-circles phi = phi_k
+    between the poles cut them into lunes. On a plane one unit away from the light, ahead in the middle of a lune, the half-circles
+    and the edges are straight lines; let v be the height there. The count of layers at the lower pole, N(pole), is found triangle
+    by triangle. Along the half-circle phi_k it is known exactly: with rising v it grows by the multiplicity m at an edge that runs
+    to the right, and falls at one that runs to the left. From there to the left, within the lune, it grows only at edges that run
+    upwards. So
 
         N(phi, v) <= N(phi_k, v) + P_k(v)
 
     where P_k(v) sums the multiplicities of the edges that run upwards through v, cut off at the lune's half-circles. The right-hand
-    side is a sum of steps in v. For the sun the same holds of the points where its rays meet a plane across them, as seen from one
-    unit before the plane; there, N(pole) = 0.
+    side is a sum of steps in v. For the sun, the same holds for the points where its rays meet a plane across them, as seen from
+    one unit in front of the plane; there, N(pole) = 0.
     """
     light = homogeneous(light)
     if not len(silhouette.edges):
         return 0
     drawn = np.asarray(points, np.float32).reshape(-1, 3)
     used = np.zeros(len(drawn), bool)
-    used[silhouette.edges[:, 0]] = True  # each vertex of a closed boundary begins an edge
+    used[silhouette.edges[:, 0]] = True  # each vertex of a closed boundary starts an edge
     edges = (np.cumsum(used, dtype=np.int32) - np.int32(1))[silhouette.edges]
     begin = drawn[used].astype(np.float64)
     if light[3] == 0.0:
@@ -73,11 +76,11 @@ def most_layers(points: np.ndarray, silhouette: Silhouette, light: np.ndarray) -
 def batches(
     points: np.ndarray, triangles: np.ndarray, edges: Edges, turns: np.ndarray, light: np.ndarray, most: int = MAX_STENCIL_LAYERS
 ) -> list[np.ndarray]:
-    """The casting triangles in groups that cover no point more than ``most`` times, each as turns (m,) int8; one if that will do.
+    """Return the casting triangles in groups that cover no point more than ``most`` times; one group if possible.
 
-    Any set of triangles casts a shadow of its own, and a point is dark where any group's shadow covers it. What must be split is
-    halved between connected parts, ordered by their distance from the light, and a part between near and far triangles. Raises
-    ``InputError`` for less than one.
+    Each group is given as turns (m,) int8. Any set of triangles casts a shadow of its own, and a point is dark where any group's
+    shadow covers it. A group that exceeds the bound is halved between connected parts, ordered by their distance from the light. A
+    single part is halved between near and far triangles. Raises ``InputError`` for ``most`` below 1.
     """
     if most < 1:
         raise InputError("most", most, "1 or more")
@@ -98,11 +101,12 @@ def batches(
 
 
 def may_shade_near(low: np.ndarray, high: np.ndarray, rectangle: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Whether boxes from ``low`` to ``high`` (k, 3) may cast on the near plane's rectangle, bool (k,).
+    """Return whether boxes from ``low`` to ``high`` (k, 3) may cast on the near plane's rectangle, bool (k,).
 
-    That is whether they may reach into the volume swept from the rectangle, corners (4, 3) in order, to the light (4,): the
-    near-clip volume of Everitt and Kilgard 2002. False only where the near plane, one of the volume's sides or one of the box's
-    separates the two by more than rounding; True for all where the light lies within ``NEAR_PLANE_DEG`` of the near plane.
+    They may if they reach into the volume swept from the rectangle, corners (4, 3) in order, to the light (4,): the near-clip
+    volume of Everitt and Kilgard 2002. The result is False only where a plane separates the two by more than rounding: the near
+    plane, a side of the volume or a side of the box. It is True for all where the light lies within ``NEAR_PLANE_DEG`` of the near
+    plane.
     """
     light = homogeneous(light)
     low, high, rectangle = (np.asarray(v, np.float64).reshape(-1, 3) for v in (low, high, rectangle))
@@ -127,7 +131,7 @@ def may_shade_near(low: np.ndarray, high: np.ndarray, rectangle: np.ndarray, lig
 
 
 def _seen_from_sun(points: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
-    """Points (n, 3) projected along the sun's rays to the plane one unit ahead, within half a unit of its middle."""
+    """Return points (n, 3) projected along the sun's rays to the plane one unit ahead, within half a unit of its middle."""
     aside = np.cross(to_sun, [0.0, 0.0, 1.0]) if to_sun[:2].any() else np.array([1.0, 0.0, 0.0])
     plane = np.stack([axis / np.linalg.norm(axis) for axis in (aside, np.cross(aside, to_sun))]) @ points.T
     low, high = plane.min(axis=1), plane.max(axis=1)
@@ -136,7 +140,7 @@ def _seen_from_sun(points: np.ndarray, to_sun: np.ndarray) -> np.ndarray:
 
 
 def _axes_to(ahead: np.ndarray) -> np.ndarray:
-    """Right-handed axes (3, 3): ahead, left and up. Up is askew, so that things built square do not line up with it."""
+    """Return right-handed axes (3, 3): ahead, left and up. Up is oblique, so that rectangular buildings do not align with it."""
     ahead = ahead / np.linalg.norm(ahead) if ahead.any() else POLE_AXIS
     left = np.cross(np.roll(POLE_AXIS, int(np.argmax(np.abs(ahead)))), ahead)
     left /= np.linalg.norm(left)
@@ -144,9 +148,9 @@ def _axes_to(ahead: np.ndarray) -> np.ndarray:
 
 
 def _most_seen(directions: np.ndarray, edges: np.ndarray, times: np.ndarray) -> int | None:
-    """The largest N(phi_k, v) + P_k(v) less N(pole) for vertices (n, 3) as seen from a light: ahead, left and up.
+    """Return the maximum of N(phi_k, v) + P_k(v) - N(pole) for vertices (n, 3) as seen from a light: ahead, left and up.
 
-    ``None`` where an edge meets the axis through the poles.
+    It is ``None`` where an edge meets the axis through the poles.
     """
     azimuth = np.arctan2(directions[:, 1], directions[:, 0])
     phi = azimuth[edges]
@@ -165,15 +169,18 @@ def _most_seen(directions: np.ndarray, edges: np.ndarray, times: np.ndarray) -> 
     place, step = _steps(directions, edges, times, lune, turn > 0.0, first, span / lunes, lunes)
     order = np.argsort(place)
     place, count = place[order], np.cumsum(step[order])
-    done = np.append(place[1:] > place[:-1], True)  # what happens at one place happens at once
-    # From pole to pole the count changes by as much along one half-circle as along another.
+    done = np.append(place[1:] > place[:-1], True)  # steps at one position happen at once
+    # From pole to pole the count changes by the same amount along every half-circle.
     count -= count[-1] // lunes * place.astype(np.int64)
     return int(count[done].max(initial=0))
 
 
 @compiled
 def _steps(seen, edges, times, lune_of_end, leftwards, first, width, lunes):
-    """The steps of N(phi_k, v) + P_k(v) in all lunes: where each is, the lune's number plus v as a share of 1, and by how much."""
+    """Return the positions and sizes of the steps of N(phi_k, v) + P_k(v) in all lunes.
+
+    A position is the lune's number plus v as a share of 1.
+    """
     line = first + width * np.arange(lunes + 1)
     line_cos, line_sin, cos, sin = np.cos(line), np.sin(line), np.cos(line + 0.5 * width), np.sin(line + 0.5 * width)
     room = 0
@@ -210,13 +217,13 @@ def _steps(seen, edges, times, lune_of_end, leftwards, first, width, lunes):
 
 @internal
 def _height(lune, ahead, up):
-    """A lune's number, plus how high a direction is as a share between the poles."""
+    """Return a lune's number, plus a direction's height as a share between the poles."""
     return lune + 0.5 + np.arctan2(up, max(ahead, 0.0)) / 3.2
 
 
 @compiled
 def _caps_at_lower_pole(seen, caps):
-    """How many triangles (c, 3) that face a lamp have the lower pole in them, or by rounding may have."""
+    """Return the number of triangles (c, 3) facing a lamp that contain the lower pole, or may contain it by rounding."""
     count = 0
     for t in range(len(caps)):
         inside = True
@@ -231,7 +238,7 @@ def _caps_at_lower_pole(seen, caps):
 def _from_the_light(
     points: np.ndarray, triangles: np.ndarray, part: np.ndarray, turns: np.ndarray, light: np.ndarray
 ) -> np.ndarray:
-    """The casting triangles, part by part, and within a part the ones nearest to the light first."""
+    """Return the casting triangles part by part, and within a part by distance from the light, the nearest first."""
     casting = np.flatnonzero(turns)
     middle = np.asarray(points, np.float64).reshape(-1, 3)[triangles[casting]].mean(axis=1)
     away = np.linalg.norm(light[:3] - middle, axis=1) if light[3] else -(middle @ light[:3])
@@ -241,7 +248,7 @@ def _from_the_light(
 
 
 def _middle(part: np.ndarray) -> int:
-    """Where to halve triangles: between two parts (given triangle by triangle) if there are several."""
+    """Return the index at which to halve triangles: between two parts (one number per triangle) if there are several."""
     starts = np.flatnonzero(np.diff(part)) + 1
     half = len(part) // 2
     return int(starts[np.argmin(np.abs(starts - half))]) if len(starts) else half

@@ -1,4 +1,4 @@
-"""Settings of shadow volumes, and what they are resolved from."""
+"""The settings of shadow volumes, and their resolution."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from skugga.terrain.level.level import Shadows
 
 
 class StencilSettings(AlgorithmSettings):
-    """How volumes are counted: both sides of them in one pass or in one each, and what is counted: ``auto`` takes z-pass for
-    casters whose volume provably misses the near plane and z-fail for the others.
+    """The method by which volumes are counted.
+
+    ``stencil`` draws both sides of volumes in one pass, or each in its own. ``counting`` ``auto`` uses z-pass for casters whose
+    volume provably misses the near plane and z-fail for the others.
     """
 
     stencil: Literal["one_pass", "two_pass"] = "one_pass"
@@ -18,21 +20,23 @@ class StencilSettings(AlgorithmSettings):
 
 
 class VolumeSettings(StencilSettings, AreaSettings):
-    """Settings of shadow volumes: how they are counted; and ``filter``, 1 for the hard edges of a light that is a point, or ``sun``
-    for the penumbra of its disc or ball: the volumes of each of many points of it.
+    """Settings of shadow volumes: the counting method and the filter.
+
+    ``filter`` 1 shows the hard edges of a point light. ``sun`` shows the penumbra of the light's disc or ball, by the volumes of
+    each of many points of it.
     """
 
     filter: Literal[1, "sun"] = 1
 
     @property
     def asked_as(self) -> dict[str, Any]:
-        """The same as a level's ``shadows`` would ask for them: hard edges need not be asked for."""
+        """The settings as keys and values of a level's ``shadows``. Hard edges need no key."""
         asked = super().asked_as
         return asked if self.filter == "sun" else {key: value for key, value in asked.items() if key != "filter"}
 
 
 def resolve_volumes(request: SettingsRequest) -> ResolvedSettings:
-    """Settings of shadow volumes, and the reason for a penumbra."""
+    """Return the settings of shadow volumes, and the reason for a penumbra."""
     settings = stencil_settings(request.shadows)
     if not request.is_area:
         return VolumeSettings(**settings), request.without_filter("shadow_volume")
@@ -41,5 +45,5 @@ def resolve_volumes(request: SettingsRequest) -> ResolvedSettings:
 
 
 def stencil_settings(shadows: Shadows) -> dict[str, Any]:
-    """How volumes are counted."""
+    """Return the requested counting method as fields of ``StencilSettings``."""
     return {"stencil": "one_pass" if shadows.stencil == "auto" else shadows.stencil, "counting": shadows.counting}

@@ -1,6 +1,6 @@
-"""`shadow_volume`: the volumes of shadow behind casters, counted in the stencil. Exact to the pixel, whatever the resolution.
+"""`shadow_volume`: the shadow volumes of casters, counted in the stencil. Exact to the pixel, whatever the resolution.
 
-``skugga.shadows.volumes.volumes`` says what volumes are made of, ``skugga.shadows.volumes.drawing`` how they are counted.
+``skugga.shadows.volumes.volumes`` builds the volumes, ``skugga.shadows.volumes.drawing`` counts them.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ def fill(
     settings: VolumeSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Visibility of a light (rows, cols), float32, 0 or 1, of an area in between, for a buffer's points past some kinds of casters.
+    """Return the visibility of a light (rows, cols), float32, for a buffer's points past some kinds of casters.
 
-    Where there is no surface, or one that is turned away from the light, the value means nothing. Raises ``GraphicsError``.
+    It is 0 or 1, and in between for an area light. The value has no meaning off the surface and where the surface faces away from
+    the light. Raises ``GraphicsError``.
     """
     if settings.filter == "sun":
         return mean_over_light(fill, buffer, scene, light, kinds, casters, settings, log, filter=1)
@@ -53,13 +54,14 @@ def fill(
 
 
 MOST_GROUND = 2**18
-"""Triangles of ground from which on volumes of its edges are no candidate: measured, they take ten to twenty times what a sweep
-does, and are no better (docs/accuracy.md).
+"""Upper bound of the triangles of ground for which volumes are a candidate.
+
+Above it they were measured to take ten to twenty times as long as a sweep, without better results (docs/accuracy.md).
 """
 
 
 def too_much_ground(descriptor: Descriptor, kind: CasterKind) -> bool:
-    """Whether the ground has too many triangles for volumes of its edges."""
+    """Return whether the ground has too many triangles for volumes of its edges."""
     of_kind = (each for each in descriptor.stands if each.kind == kind == "relief")
     return sum(each.triangles + each.outside_triangles for each in of_kind) > MOST_GROUND
 
@@ -68,7 +70,7 @@ NO_VOLUME: dict[Requirement, str] = {
     "forest": "a shadow volume knows no texture: every picture of leaves would cast a full rectangle",
     "bent map": DRAWS_IN_THE_VIEW,
 }
-"""What no volume can serve, and why."""
+"""Requirements that no volume can serve, and the reasons."""
 
 KEEPS = ("skugga.shadows.volumes.volumes", "skugga.shadows.volumes.volumes._structure", "skugga.shadows.volumes.volumes._has_gaps")
 """Caches of volumes."""

@@ -1,27 +1,28 @@
-"""Silhouettes as a light sees them: the edges at which the shadow of casting triangles begins and ends.
+"""Silhouettes as seen from a light: the edges at which the shadow of casting triangles begins and ends.
 
-The shadow of one triangle that is oriented towards the light (counter-clockwise as seen from there) is bounded by itself, by a
-side from each of its three edges away from the light and, for a lamp, by a cap at infinity. A ray that leaves a point of the
-shadow crosses this boundary outwards once more often than inwards; one that leaves any other point, as often. Boundaries add:
-over a set of triangles the signed count of crossings is the number of triangles between the point and the light, and where
-triangles run along an edge in opposite directions their sides cancel before anything is drawn. What is left of an edge is the
-signed sum of its directions, the multiplicity, and its side counts so many times. So nothing need be closed or manifold, and any
-set of triangles will do (B. Kim, K. Kim, G. Turk 2008, "A shadow-volume algorithm for opaque and transparent nonmanifold
-casters", J. Graphics Tools 13(3), who count by multiplicity; for closed bodies C. Everitt, M. Kilgard 2002, "Practical and robust
-stenciled shadow volumes for hardware-accelerated rendering").
+Take one triangle that is oriented towards the light (counter-clockwise as seen from there). Its shadow is bounded by the triangle,
+by a side from each of its three edges away from the light and, for a lamp, by a cap at infinity. A ray that leaves a point of the
+shadow crosses this boundary outwards once more often than inwards. A ray from any other point crosses it equally often both ways.
 
-Which triangles need cast is up to what they bound:
+Boundaries add up. Over a set of triangles, the signed count of crossings is the number of triangles between the point and the
+light. Where triangles run along an edge in opposite directions, their sides cancel before anything is drawn. The multiplicity of an
+edge is the signed sum of its directions, and its side counts that many times. The triangles therefore need not be closed or
+manifold (B. Kim, K. Kim, G. Turk 2008, "A shadow-volume algorithm for opaque and transparent nonmanifold casters", J. Graphics
+Tools 13(3), who count by multiplicity; for closed bodies C. Everitt, M. Kilgard 2002, "Practical and robust stenciled shadow
+volumes for hardware-accelerated rendering").
 
-- ``facing``: those that face the light. For closed bodies with their faces outwards: a way from a point to the light crosses as
-  many facing triangles as others, and one more for each body that the point is in; so where any triangle blocks it, a facing one
-  does. (One less for each body that a lamp is in: a lamp's own housing needs another rule.)
-- ``turned_away``: the others, flipped. For ground seen from above: where the way from a point on it or above it is blocked, it
-  first goes into the ground, through a triangle turned away from the light. The caps lie where it is dark anyway. (A way that dips
-  into a gap of the ground may come up from below it: around gaps all triangles need cast.)
-- ``all``: both. For anything, open or not.
+The triangles that need to cast depend on what they bound:
 
-Whether a triangle faces the light is computed once, and both neighbours across an edge go by it: whatever rounding does to a
-triangle seen edge-on, the edges of the silhouette join up.
+- ``facing``: those that face the light, for closed bodies with their faces outwards. A segment from a point to the light crosses as
+  many facing triangles as others, and one more for each body that contains the point. Where any triangle blocks it, a facing one
+  does. (One less for each body that contains the lamp: a lamp's own housing needs another rule.)
+- ``turned_away``: the others, flipped, for ground seen from above. A blocked segment from a point on or above the ground first
+  enters the ground, through a triangle that faces away from the light. The caps lie in attached shadow. (A segment that passes into
+  a gap of the ground may come up from below it: around gaps all triangles need to cast.)
+- ``all``: both, for any triangles, open or closed.
+
+Whether a triangle faces the light is computed once, and both neighbours across an edge use the result. The edges of the silhouette
+therefore join up, even if rounding affects a triangle seen edge-on.
 """
 
 from __future__ import annotations
@@ -40,23 +41,23 @@ from skugga.terrain.ground.sheet import Sheet, sheet_triangles
 FacingRule = Literal["facing", "turned_away", "all"]
 
 FACING_CODE, TURNED_AWAY_CODE, ALL_CODE = 1, 2, 3
-"""The rules as numbers, one for each triangle: bit 0, cast those that face the light; bit 1, cast the others."""
+"""The rules as numbers, one for each triangle. Bit 0: triangles that face the light cast. Bit 1: the others cast."""
 
 FACING_RULE_CODES: dict[FacingRule, int] = {"facing": FACING_CODE, "turned_away": TURNED_AWAY_CODE, "all": ALL_CODE}
 
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """The boundary of the triangles that cast, as seen from a light.
+    """The boundary of the casting triangles, as seen from a light.
 
     Attributes
     ----------
     edges
-        int32 (k, 2), vertex numbers: an edge from its first to its second, with what casts on the left as seen from the light.
+        int32 (k, 2): vertex numbers of edges from first to second, with the casters on the left as seen from the light.
     times
-        int32 (k,), 1 or more: how often the side of each edge counts.
+        int32 (k,), 1 or more: multiplicity of the side of each edge.
     caps
-        int32 (c, 3), vertex numbers: the casting triangles, counter-clockwise as seen from the light.
+        int32 (c, 3): vertex numbers of the casting triangles, counter-clockwise as seen from the light.
     """
 
     edges: np.ndarray
@@ -65,28 +66,31 @@ class Silhouette:
 
 
 def homogeneous(light: np.ndarray) -> np.ndarray:
-    """A light (4,) float64: a direction to the sun and 0, or a lamp's position and 1. Raises ``InputError`` for anything else."""
+    """Return a light (4,) as float64: a direction to the sun and 0, or a lamp's position and 1.
+
+    Raises ``InputError`` for other values.
+    """
     checked = np.asarray(light, np.float64)
     sound = checked.shape == (4,) and np.isfinite(checked).all() and checked[3] in (0.0, 1.0) and checked.any()
     if not sound:
-        raise InputError("light", light, "a direction other than zero and 0, or a position and 1")
+        raise InputError("light", light, "a direction that is not zero followed by 0, or a position followed by 1")
     return checked
 
 
 def facing(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Which triangles (m, 3) of vertices (n, 3) face a light (4,), bool (m,); one seen exactly edge-on does not.
+    """Return which triangles (m, 3) of vertices (n, 3) face a light (4,), bool (m,). A triangle seen exactly edge-on does not.
 
-    In float64, from the vertices as float32: the triangles as they are drawn. A triangle (a, b, c) faces a light l where
+    The test is in float64, on vertices rounded to float32, as they are drawn. A triangle (a, b, c) faces a light l where
     ((b - a) x (c - a)) . (l_xyz - l_w a) > 0.
     """
     return _facing(np.asarray(vertices, np.float32).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3), homogeneous(light))
 
 
 def turns_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
-    """How triangles cast, int8 (m,): +1 as they are, -1 flipped, 0 not at all.
+    """Return how triangles cast, int8 (m,): +1 as they are, -1 flipped, 0 not at all.
 
-    ``rule`` is one for all, or a number for each: ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for what casts
-    nothing; all triangles of a part of a mesh have the same. Raises ``InputError`` for any other rule.
+    ``rule`` is one for all, or a number for each triangle: ``FACING_CODE``, ``TURNED_AWAY_CODE``, ``ALL_CODE``, or 0 for triangles
+    that cast nothing. All triangles of a part of a mesh have the same number. Raises ``InputError`` for any other rule.
     """
     if isinstance(rule, str) and rule not in FACING_RULE_CODES:
         raise InputError("rule", rule, " or ".join(FACING_RULE_CODES))
@@ -97,7 +101,7 @@ def turns_of(facing: np.ndarray, rule: FacingRule | np.ndarray) -> np.ndarray:
 
 
 def silhouette(triangles: np.ndarray, edges: Edges, turns: np.ndarray) -> Silhouette:
-    """The silhouette of triangles (m, 3) that cast as ``turns`` (m,) says, where ``edges`` are theirs."""
+    """Return the silhouette of triangles (m, 3) that cast as ``turns`` (m,) says. ``edges`` are their edges."""
     times = signed_sums(edges, turns)
     drawn = np.flatnonzero(times)
     unbalanced = edges.along[:, 0] != 0
@@ -105,17 +109,16 @@ def silhouette(triangles: np.ndarray, edges: Edges, turns: np.ndarray) -> Silhou
 
 
 def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silhouette:
-    """The silhouette of a sheet of nodes (rows, cols, 3).
+    """Return the silhouette of a sheet of nodes (rows, cols, 3). Vertices are numbered row by row.
 
-    Vertices are numbered row by row. The same as by way of ``edges_of``, which finds nothing that the grid does not tell unless two
-    nodes are in one place.
+    The result equals that from ``edges_of``, unless two nodes are at one position.
     """
     position, falls = sheet.position_frame_m, sheet.falls
     rows, cols = position.shape[:2]
     triangles = sheet_triangles(falls)
     known = np.isfinite(position[..., 2]).ravel()[triangles].all(axis=1)
     faces = facing(position, triangles, light)
-    if isinstance(sheet, ColumnSheet):  # what has no area throws no shadow: it counts as facing the light
+    if isinstance(sheet, ColumnSheet):  # triangles without area cast no shadow, so they count as facing the light
         faces |= ~np.repeat(sheet.has_area.ravel(), 2)
     turns = (turns_of(faces, rule) * known).reshape(*falls.shape, 2)
     north, south = turns[..., 0], turns[..., 1]
@@ -134,7 +137,7 @@ def sheet_silhouette(sheet: Sheet, light: np.ndarray, rule: FacingRule) -> Silho
 
 
 def _directed(ends: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges the way they are run along, and how often."""
+    """Return edges in their direction of traversal, and their multiplicity."""
     return np.where(times[:, None] > 0, ends, ends[:, ::-1]), np.abs(times)
 
 

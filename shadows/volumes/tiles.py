@@ -1,6 +1,4 @@
-"""Rectangles that hold all marked pixels of a picture and few others, and which faces of shadow volumes matter there: what does not
-need not be drawn at all.
-"""
+"""Rectangles that contain all marked pixels of a picture and few others, and culling of the shadow volumes' faces in each."""
 
 from __future__ import annotations
 
@@ -11,35 +9,35 @@ import numpy as np
 from skugga.terrain.compiled import compiled, internal
 
 CULLING_TILE_PX = 8
-"""Side of the tiles that rectangles are put together from."""
+"""Side in pixels of the tiles that rectangles consist of."""
 
 RECTANGLE_FACES = 4e4
-"""What a further rectangle costs, in tiles times faces: with few faces many tiles are drawn in no time."""
+"""Cost of another rectangle, in tiles times faces: with few faces, many tiles are drawn in no time."""
 
 LEAST_TILES = 8
-"""What it costs at least, in tiles."""
+"""Lower bound of this cost, in tiles."""
 
 GROUP = 16
-"""So many rectangles after one another have the faces beside all of them sorted out together."""
+"""Number of consecutive rectangles for which faces beside all of them are culled together."""
 
 BESIDE, ACROSS, COVERS = 0, 1, 2
-"""Where a triangle may lie to a rectangle."""
+"""Positions of a triangle relative to a rectangle."""
 
 DEPTH_MARGIN = 1e-4
 """Share of a depth by which a face must lie beyond it to count as beyond."""
 
 
 def marked_tiles(rows: np.ndarray, cols: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Which tiles of a picture of some rows and columns hold one of the pixels (n,): bool."""
+    """Return which tiles of a picture of ``size`` (rows, cols) contain one of the pixels (n,), bool."""
     return _marked(rows, cols, *(-(-side // CULLING_TILE_PX) for side in size))
 
 
 def rectangles(tiles: np.ndarray, size: tuple[int, int], faces: int) -> np.ndarray:
-    """Rectangles of tiles that hold all marked ones, int32 (k, 4): first column, first row, columns and rows, pixels.
-    Neighbours follow one another. So many ``faces`` are to be drawn in them.
+    """Return rectangles of tiles that contain all marked ones, int32 (k, 4): first column, first row, columns and rows, in pixels.
 
-    What holds them all is cut in two, and the parts again, while that saves more tiles than a rectangle costs, and while a side is
-    longer than twice as many tiles: within small rectangles depths vary little, and few faces matter.
+    Consecutive rectangles are neighbours. ``faces`` is the number of faces to draw in them. The bounding rectangle is cut in two,
+    and its parts again, in two cases: the cut saves more tiles than a rectangle costs, or a side is longer than twice as many
+    tiles. Within small rectangles depths vary little, and few faces matter.
     """
     merged = _rectangles(tiles, max(RECTANGLE_FACES / max(faces, 1), LEAST_TILES)) * CULLING_TILE_PX
     merged[:, 2:] = np.minimum(merged[:, 2:], np.array([size[1], size[0]]) - merged[:, :2])
@@ -49,7 +47,7 @@ def rectangles(tiles: np.ndarray, size: tuple[int, int], faces: int) -> np.ndarr
 def depth_bounds(
     rows: np.ndarray, cols: np.ndarray, depth: np.ndarray, rectangles: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
-    """Least and greatest depth (k, 2) of those of some pixels (n,) that lie in each rectangle; (inf, -inf) where none does."""
+    """Return the minimum and maximum depth (k, 2) of the pixels (n,) in each rectangle; (inf, -inf) without any."""
     tiles = tuple(-(-side // CULLING_TILE_PX) for side in size)
     of_tile = _tile_bounds(rows, cols, depth, *tiles)
     out = np.empty((len(rectangles), 2))
@@ -64,8 +62,16 @@ def depth_bounds(
 
 @dataclass(frozen=True, eq=False)
 class Culled:
-    """The faces to be drawn in rectangles: their numbers, one rectangle after the other; where each one's begin (k + 1,); and what
-    those add to the counts of each rectangle (k,) that need not be drawn, being the same in all of its pixels.
+    """The faces to draw in rectangles.
+
+    Attributes
+    ----------
+    faces
+        int32 (f,): numbers of the faces, rectangle by rectangle.
+    starts
+        int64 (k + 1,): index of each rectangle's first face.
+    added
+        int64 (k,): amount that culled faces add to the counts of a rectangle, the same in all of its pixels.
     """
 
     faces: np.ndarray
@@ -82,18 +88,18 @@ def culled(
     size: tuple[int, int],
     clamped: bool = False,
 ) -> Culled:
-    """The faces (m, 3) that matter in each of some rectangles whose pixels' depths lie between bounds (k, 2), greater ones nearer.
+    """Return the faces (m, 3) that matter in each rectangle, given bounds (k, 2) of its pixels' depths. Greater depths are nearer.
 
-    ``clip`` (n, 4) are homogeneous clip coordinates; ``counts_behind`` says whether faces behind the pixels' points count
-    (z-fail) or those before them (z-pass). Left out are faces beside a rectangle, and those that lie wholly on the side that
-    does not count; those that cover all of it and lie wholly on the other add the same everywhere (T. Aila and T.
-    Akenine-Moller, A Hierarchical Shadow Volume Algorithm, 2004). What lies before the near plane, at depths above 1, is not
-    drawn and adds nothing, unless depths are ``clamped``.
+    ``clip`` (n, 4) are homogeneous clip coordinates. ``counts_behind`` says whether faces behind the pixels' points count (z-fail)
+    or those in front of them (z-pass). Two kinds of faces are culled: faces beside a rectangle, and faces wholly on the side that
+    does not count. Faces that cover all of it, wholly on the side that counts, add the same everywhere (T. Aila and T.
+    Akenine-Moller, A Hierarchical Shadow Volume Algorithm, 2004). Faces in front of the near plane, at depths above 1, are not
+    drawn and add nothing, unless depths are ``clamped``.
 
-    A pixel (x, y, 1) that a triangle of corners p0, p1, p2 in (x, y, w) covers is a sum of them with no negative weight; the
-    weights are, but for a common factor, the pixel's products with p1 x p2, p2 x p0 and p0 x p1, of the sign of the determinant
-    (M. Olano and T. Greer, Triangle Scan Conversion Using 2D Homogeneous Coordinates, 1997). So nothing need be clipped, before
-    the eye or at infinity; and depth, being the same sum of the corners' z, is linear over the picture.
+    A pixel (x, y, 1) that a triangle of corners p0, p1, p2 in (x, y, w) covers is a sum of them with no negative weight. The
+    weights are, but for a common factor, the pixel's products with p1 x p2, p2 x p0 and p0 x p1, of the sign of the determinant (M.
+    Olano and T. Greer, Triangle Scan Conversion Using 2D Homogeneous Coordinates, 1997). Nothing needs clipping, neither at the eye
+    nor at infinity. Depth is the same sum of the corners' z, and therefore linear over the picture.
     """
     px = np.array([size[1], size[0]]) / 2.0
     points = np.column_stack([(clip[:, :2] + clip[:, 3:]) * px, clip[:, 3], clip[:, 2]])
@@ -143,7 +149,10 @@ def _rectangles(tiles, cost):
 
 @internal
 def _best_cut(part):
-    """The cut between rows of tiles that leaves most tiles outside of what holds the two halves: how many, and where."""
+    """Return the cut between rows of tiles that leaves most tiles outside of the bounds of both halves.
+
+    The result is the number of these tiles, and the row of the cut.
+    """
     rows, cols = part.shape
     first, last = np.full(rows, cols), np.zeros(rows, np.int64)
     for row in range(rows):
@@ -151,7 +160,7 @@ def _best_cut(part):
             if part[row, col]:
                 first[row] = min(first[row], col)
                 last[row] = col + 1
-    after = np.zeros(rows + 1, np.int64)  # tiles of what holds the rows from here on
+    after = np.zeros(rows + 1, np.int64)  # tiles in the bounds of the rows from here on
     low, high, end = cols, 0, 0
     for row in range(rows - 1, -1, -1):
         if last[row] > 0:
@@ -206,7 +215,7 @@ def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):
         for number in range(group, min(group + GROUP, k)):
             left, top = rectangles[number, 0], rectangles[number, 1]
             right, bottom = left + rectangles[number, 2], top + rectangles[number, 3]
-            # what counts lies beyond one bound, what does not beyond the other; the margin is for float32
+            # faces beyond one bound count, faces beyond the other do not; the margin is for float32
             farthest, nearest = depths[number, 0] * (1.0 - DEPTH_MARGIN), depths[number, 1] * (1.0 + DEPTH_MARGIN)
             if count + here > len(found):
                 more = np.empty(2 * len(found) + here, np.int32)
@@ -233,11 +242,11 @@ def _culled(points, triangles, counts_behind, rectangles, depths, near_plane):
 
 @internal
 def _place(lines, left, top, right, bottom):
-    """Where a triangle, by the lines of its sides, lies to a rectangle."""
+    """Return the position of a triangle, given the lines of its sides, relative to a rectangle."""
     place = COVERS
     for n in range(3):
         low, high = _range(lines[n], left, top, right, bottom)
-        slack = abs(lines[n, 0]) + abs(lines[n, 1])  # of a pixel, for the rasteriser's grid
+        slack = abs(lines[n, 0]) + abs(lines[n, 1])  # one pixel, for the rasteriser's grid
         if high < -slack:
             return BESIDE
         if low <= slack:
@@ -247,7 +256,7 @@ def _place(lines, left, top, right, bottom):
 
 @internal
 def _lines(points, triangles):
-    """Each triangle's weights and depth as linear functions of a pixel (m, 4, 3), and the sign of its determinant (m,)."""
+    """Return each triangle's weights and depth as linear functions of a pixel (m, 4, 3), and the sign of its determinant (m,)."""
     m = len(triangles)
     lines, sign = np.zeros((m, 4, 3)), np.zeros(m, np.int64)
     for t in range(m):
@@ -271,7 +280,7 @@ def _lines(points, triangles):
 
 @internal
 def _range(line, left, top, right, bottom):
-    """Least and greatest value of a linear function over a rectangle."""
+    """Return the minimum and maximum of a linear function over a rectangle."""
     x, y, z = line
     return (
         z + min(x * left, x * right) + min(y * top, y * bottom),

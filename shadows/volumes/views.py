@@ -1,13 +1,14 @@
-"""Views as shadow volumes are drawn in them: clip coordinates, and the depths of the points that are seen.
+"""The views in which shadow volumes are drawn: clip coordinates, and the depths of the visible points.
 
-Meshes, near caps and sides go through one program, so that a near cap has the very depth of the surface that it lies on. Points of
-ground and trees bring their own depths: no near cap lies on a lit one. (The ground of a map that bends is drawn as well: what lies
-beside it by a share of a pixel may be on the wrong side of a volume that grazes it. So is ground with gaps, all of which casts.)
-Of pixels whose very centres the rim of the ground passes through a rasteriser leaves out some: they keep their points' own depths.
+Meshes, near caps and sides use one program, so that a near cap has exactly the depth of its surface. Points of ground and trees
+bring their own depths, since no near cap lies on a lit one. There are two exceptions, where the ground is drawn as well. The first
+is the ground of a map that bends: a point that is off by a share of a pixel may lie on the wrong side of a volume that grazes it.
+The second is ground with gaps, all of which casts. A rasteriser leaves out some pixels whose centres lie exactly on the ground's
+rim. They keep their points' own depths.
 
-In perspective, depth is n over the distance along the view's axis: what is infinitely far away has depth 0, and nothing is cut
-off there. The near plane n is put half-way to what is nearest of all that is seen, which keeps float32 steps fine. A map is
-seen from above everything; what lies below all that is seen is cut off, for nothing is counted there.
+In perspective, depth is n over the distance along the view's axis. Points at infinity have depth 0, and nothing is clipped there.
+The near plane n lies half-way to the nearest visible point, which keeps float32 steps fine. A map is seen from above everything.
+Volumes below all visible points are clipped, since nothing is counted there.
 
 **Samples** of a perspective view's pixels are pixels of a finer view of the same camera.
 """
@@ -41,25 +42,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class SeenPoints:
-    """Some of a buffer's points, in the view that they are drawn in.
+    """Some of a buffer's points, in the view in which they are drawn.
 
     Attributes
     ----------
     size
         Rows and columns of the view.
     row, col
-        int (n,), the points' pixels in the view.
+        int (n,): the points' pixels in the view.
     at
-        int (n,), the points' flat indices in the buffer.
+        int (n,): the points' flat indices in the buffer.
     depth
-        float64 (n,).
+        float64 (n,): the points' depths.
     drawn
-        bool (n,), where drawing what is seen gives the depth, if it covers the pixel: on meshes, on ground that bends in a map, and
-        on ground with gaps.
+        bool (n,): whether drawing the surface gives the depth, if it covers the pixel: on meshes, on ground that bends in a map,
+        and on ground with gaps.
     ground
         Such ground in a map.
     clip_from_frame, origin_frame_m
-        Clip coordinates (4, 4) of homogeneous frame points, metres from an origin.
+        Matrix (4, 4) to clip coordinates, from homogeneous frame points in metres from an origin (3,).
     near_frame_m
         The near plane's rectangle (4, 3); ``None`` in a map, which has none.
     """
@@ -76,14 +77,14 @@ class SeenPoints:
     near_frame_m: np.ndarray | None
 
     def clip_of(self, points: np.ndarray) -> np.ndarray:
-        """Clip coordinates (n, 4) float64 of homogeneous frame points (n, 4)."""
+        """Return the clip coordinates (n, 4) float64 of homogeneous frame points (n, 4)."""
         return np.column_stack([points[:, :3] - points[:, 3:] * self.origin_frame_m, points[:, 3]]) @ self.clip_from_frame.T
 
 
 def own_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
-    """Those of a view's own points that are wanted, part by part; ``near_m`` is how far away the near plane is.
+    """Yield the wanted ones of a view's own points, part by part. ``near_m`` is the distance of the near plane.
 
-    Columns are seen each in the middle of its top, in a view whose pixels are the cells.
+    Each column is drawn at the middle of its top, in a view whose pixels are the cells.
     """
     if buffer.columns is not None:
         yield from _tops_seen(buffer, scene, wanted & (buffer.kind == RELIEF), near_m)
@@ -92,7 +93,7 @@ def own_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m:
 
 
 def pixels_seen(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
-    """The same of points that lie where their pixels do."""
+    """Yield the wanted points that lie at their pixels, part by part."""
     view = buffer.view
     for part, top, left in affine_parts(scene.world, view):
         row, col = np.nonzero(wanted[top : top + part.rows, left : left + part.cols])
@@ -112,7 +113,7 @@ def _tops_seen(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m:
 
 
 def sample_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near_m: float) -> Iterator[SeenPoints]:
-    """Those of a view's samples that are wanted, if it has any."""
+    """Yield the wanted ones of a view's samples, if it has any."""
     view = buffer.view
     if buffer.sample_pixels is None or not isinstance(view, PerspectiveView):
         return
@@ -127,8 +128,9 @@ def sample_points(buffer: GeometryBuffer, scene: Scene, wanted: np.ndarray, near
 def receiving(
     gl: Device, buffer: GeometryBuffer, scene: Scene, points: SeenPoints, parts: np.ndarray, marked: bool
 ) -> Iterator[tuple[Framebuffer, Program]]:
-    """A stencil with the depths of some points, in rectangles ``parts`` (k, 4) of the view, and the program that draws volumes
-    against them; with ``marked`` the points' pixels are marked.
+    """Provide a stencil with the depths of some points, and the program that draws volumes.
+
+    The depths are set in rectangles ``parts`` (k, 4) of the view. If ``marked`` is true, the points' pixels are marked.
     """
     rows, cols = points.size
     target = gl.stencil.target(cols, rows)
@@ -161,13 +163,13 @@ def receiving(
 
 
 def _covered(target: Framebuffer) -> np.ndarray:
-    """Where anything was drawn into the depths of a framebuffer, bool (rows, cols): not where it is infinitely far away."""
+    """Return where anything was drawn into the depths of a framebuffer, bool (rows, cols), not infinitely far away."""
     cols, rows = target.size
     return np.frombuffer(target.read(components=1, attachment=-1, dtype="f4"), np.float32).reshape(rows, cols) > 0.0
 
 
 def _homogeneous(points: np.ndarray) -> np.ndarray:
-    """Points (..., 3) as float32 (..., 4)."""
+    """Return points (..., 3) as float32 (..., 4)."""
     out = np.ones((*points.shape[:-1], 4), np.float32)
     out[..., :3] = points
     return out
@@ -194,11 +196,11 @@ def _seen(
         near = origin + near_m * corners @ camera_from_frame
     else:
         low, high = points[indices].min(axis=0), points[indices].max(axis=0)
-        top_m = max(float(high[2]), scene.height_range_m[1] + scene.objects.tallest_m)  # above all that casts
+        top_m = max(float(high[2]), scene.height_range_m[1] + scene.objects.tallest_m)  # above all casters
         margin_m = 1.0 + 0.01 * (top_m - low[2])
         origin, near = (low + high) / 2.0, None
         clip = map_clip(scene.world, frame, view, origin, (low[2] - margin_m, top_m + margin_m))
-    bends = not (scene.world.flat or isinstance(view, PerspectiveView) or buffer.columns is not None)  # no cap is a column's top
+    bends = not (scene.world.flat or isinstance(view, PerspectiveView) or buffer.columns is not None)  # columns have no cap on top
     draws_ground = ground_has_gaps(buffer, scene) or bends
     ground = _ground_of(buffer, view) if draws_ground and isinstance(view, MapView) else None
     depth = _depths(points, indices, clip[2:], origin)
@@ -212,7 +214,7 @@ def _seen(
 
 @compiled
 def _depths(points, at, rows, origin):
-    """Depths (n,) of some of points (m, 3), by the last two rows (2, 4) of clip coordinates."""
+    """Return the depths (n,) of some of points (m, 3), by the last two rows (2, 4) of clip coordinates."""
     out = np.empty(len(at))
     for n in range(len(at)):
         x, y, z = points[at[n], 0] - origin[0], points[at[n], 1] - origin[1], points[at[n], 2] - origin[2]
@@ -224,8 +226,9 @@ def _depths(points, at, rows, origin):
 
 @compiled
 def _picture(row, col, drawn, depth, parts, rows, cols):
-    """Depths at their pixels, float32 (rows, cols): -1 where drawing gives them, NaN elsewhere in some parts (k, 4), anything else
-    beside them.
+    """Return the depths at their pixels, float32 (rows, cols).
+
+    The value is -1 where drawing gives the depth. It is NaN at other pixels of the parts (k, 4), and undefined outside of them.
     """
     out = np.empty((rows, cols), np.float32)
     for k in range(len(parts)):
@@ -237,7 +240,7 @@ def _picture(row, col, drawn, depth, parts, rows, cols):
 
 
 def _ground_of(buffer: GeometryBuffer, part: MapView) -> Sheet:
-    """The ground in a part of a map; of columns, all that there is."""
+    """Return the ground in a part of a map; for columns, all of it."""
     if buffer.columns is not None:
         return buffer.columns.window.sheet
     surface = buffer.surface
@@ -254,7 +257,7 @@ def _ground_of(buffer: GeometryBuffer, part: MapView) -> Sheet:
 
 
 def near_plane_m(buffer: GeometryBuffer) -> float:
-    """A distance along the view's axis that all that is seen lies beyond; 0 in a map."""
+    """Return a distance along the view's axis in front of all visible points, metres; 0 in a map."""
     if isinstance(buffer.view, MapView):
         return 0.0
     eye, camera_from_frame = buffer.view.in_frame(buffer.frame)

@@ -1,19 +1,19 @@
-"""Shadow volumes as triangles: built once for a light and what casts, and kept while both rest.
+"""Shadow volumes as triangles: built once for a light and its casters, and cached while neither changes.
 
-The volume of a set of casting triangles is bounded by these, by a side for each edge of their silhouette, and by their images
-infinitely far away from the light (``skugga.shadows.volumes.silhouettes`` says which triangles cast and what a silhouette is). In
-homogeneous coordinates what lies at infinity is a point like any other (C. Everitt and M. Kilgard, Practical and Robust Stenciled
+The volume of a set of casting triangles is bounded by these triangles, by a side for each edge of their silhouette, and by their
+images infinitely far away from the light. ``skugga.shadows.volumes.silhouettes`` defines the casting triangles and the silhouette.
+In homogeneous coordinates a point at infinity is a point like any other (C. Everitt and M. Kilgard, Practical and Robust Stenciled
 Shadow Volumes for Hardware-Accelerated Rendering, 2002):
 
-- The sun at L (a direction) sends every point to (-L, 0). A side is one triangle, and there is no far cap.
-- A lamp at P sends v to (v - P, 0). A side is a quad, and the far cap is made of the casting triangles' images.
+- The sun at L (a direction) projects every point to (-L, 0). A side is one triangle, and no far cap is needed.
+- A lamp at P projects v to (v - P, 0). A side is a quad, and the far cap consists of the casting triangles' images.
 
-**What casts.** Of a closed body with its faces outwards the triangles that face the light. Of the ground, above which
-everything is that is seen, those that do not: its near caps lie on what is dark anyway. Of everything else, open or not
-manifold, all triangles; and so of a body that a lamp stands in, and of ground with gaps.
+**Casters.** Of a closed body with its faces outwards, the triangles that face the light cast. Of the ground, which all visible
+points lie on or above, those that face away cast: its near caps lie in attached shadow. Of everything else, open or not manifold,
+all triangles cast. The same holds for a body that contains a lamp, and for ground with gaps.
 
-**Numbers.** A stencil of n bits tells 2^n - 1 layers apart. Casters are drawn in batches of which none can cover a point more often
-(``skugga.shadows.volumes.layers``).
+**Layers.** A stencil of n bits distinguishes 2^n - 1 layers. Casters are drawn in batches, none of which can cover a point more
+often (``skugga.shadows.volumes.layers``).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ MAX_VOLUME_LAYERS = 127
 """Layers that a stencil with one bit for marks can count."""
 
 CONTACT_TOLERANCE_M = 1e-3
-"""A lamp so near to a body's bounds counts as in it, and so near to a face's plane as on it."""
+"""Distance up to which a lamp counts as inside of a body's bounds, or as on a face's plane."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,17 +58,17 @@ class Volumes:
     Attributes
     ----------
     vertices
-        float32 (n, 4), homogeneous, metres.
+        float32 (n, 4): homogeneous, metres.
     faces
         int32 (m, 3): counter-clockwise from outside of the volumes.
     part
-        int32 (m,): the caster that a face is of.
+        int32 (m,): the caster of each face.
     low_m, high_m
-        float64 (parts, 3): bounds of the casters.
+        float64 (parts, 3): bounds of the casters, metres.
     edges
         int32 (e, 2): the silhouette.
     first_cap, casting
-        Number of the first face that is a near cap, and how many there are: the casting triangles.
+        Number of the first face that is a near cap, and number of near caps: the casting triangles.
     """
 
     vertices: np.ndarray
@@ -101,9 +101,9 @@ def volumes_of(
     casters: Casters,
     record: PassRecord,
 ) -> list[Volumes]:
-    """The volumes of all that casts on a buffer's points under a light (4,); put on record, with how many were kept from before.
+    """Return the volumes of all casters of a buffer's points under a light (4,), and record them, with the number of cached ones.
 
-    A map's ground is never the same arrays twice: its blocks' pictures are kept instead.
+    A map's ground is never the same arrays twice, so the pictures of its blocks are cached instead.
     """
     volume_sets: list[Volumes] = []
     for sheet in caster_sheets(scene, buffer, casters, kinds):
@@ -129,7 +129,7 @@ def volumes_of(
 
 
 def ground_has_gaps(buffer: GeometryBuffer, scene: Scene) -> bool:
-    """Whether a ray may go into a buffer's ground where there is none, and come out of it from below."""
+    """Return whether a ray may enter a gap of a buffer's ground, and come out of the ground from below."""
     if buffer.columns is not None:
         return has_gaps(np.isfinite(buffer.columns.window.height_m))
     if buffer.surface is not None:
@@ -143,7 +143,7 @@ def _has_gaps(height_m: np.ndarray) -> bool:
 
 
 def has_gaps(there: np.ndarray) -> bool:
-    """Whether any row or column of nodes (rows, cols) that are ``there`` is interrupted."""
+    """Return whether the valid nodes (rows, cols) of any row or column are interrupted."""
     if there.all():
         return False
     return any(
@@ -154,8 +154,16 @@ def has_gaps(there: np.ndarray) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Structure:
-    """What does not depend on the light: the edges of a mesh, the rule of each triangle, and the caster of each vertex. Casters
-    have no vertex in common.
+    """The part of a mesh that does not depend on the light. Casters share no vertices.
+
+    Attributes
+    ----------
+    edges
+        The edges of the mesh.
+    rule
+        int8 (m,): the rule of each triangle.
+    part_of_vertex
+        int32 (n,): the caster of each vertex.
     """
 
     edges: Edges
@@ -187,9 +195,9 @@ def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, gro
     edges, part, rule = structure.edges, structure.part_of_vertex, structure.rule
     order = np.argsort(part, kind="stable")
     first = np.flatnonzero(np.diff(part[order], prepend=-1))
-    # Nodes of the ground that are not there are NaN, and belong to no triangle.
+    # Invalid nodes of the ground are NaN, and belong to no triangle.
     low, high = (bound.reduceat(vertices[order], first) for bound in (np.fmin, np.fmax))
-    if light[3] != 0.0 and ground_rule is None:  # what a lamp stands in casts by its inside, but for what it lies on
+    if light[3] != 0.0 and ground_rule is None:  # a body around a lamp casts by its inside, except for faces that touch the lamp
         contains_lamp = np.all((low - CONTACT_TOLERANCE_M < light[:3]) & (light[:3] < high + CONTACT_TOLERANCE_M), axis=1)[
             part[triangles[:, 0]]
         ]
@@ -207,7 +215,7 @@ def _of_mesh(vertices: np.ndarray, triangles: np.ndarray, light: np.ndarray, gro
 
 
 def _heights_m(vertices: np.ndarray, triangles: np.ndarray, lamp: np.ndarray) -> np.ndarray:
-    """How far a lamp (4,) lies off the planes of triangles (m, 3), metres (m,); 0 for degenerate ones."""
+    """Return the distance of a lamp (4,) from the planes of triangles (m, 3), metres (m,); 0 for degenerate ones."""
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     return np.abs((normal * (lamp[:3] - a)).sum(axis=1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
@@ -230,7 +238,7 @@ def _of_sheet(sheet: Sheet, light: np.ndarray) -> list[Volumes]:
 def _volumes(
     vertices: np.ndarray, outline: Silhouette, light: np.ndarray, part_of_vertex: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> Volumes:
-    """The volumes over near caps and along a silhouette: sides from (a, b) are b, a, and their images."""
+    """Return the volumes over near caps and along a silhouette. The sides from (a, b) are b, a, and their images."""
     used, number = np.unique(np.concatenate([outline.edges.ravel(), outline.caps.ravel()]), return_inverse=True)
     edges = number[: outline.edges.size].reshape(-1, 2)
     caps = number[outline.edges.size :].reshape(-1, 3)

@@ -13,20 +13,23 @@ from skugga.terrain.casters.reach import PATCH_QUADS
 from skugga.terrain.level.level import SUN
 
 MARKED_LAYERS = 50.0
-"""How many layers drawn in all of the picture take the time of one drawn in marked pixels only: few fill a rectangle there."""
+"""Number of layers over the whole picture that take the time of one in marked pixels only.
+
+Few layers cover a rectangle of marked pixels.
+"""
 
 SHEET_TRIANGLES = 2 * PATCH_QUADS**2
 """Triangles of a patch of ground outside of a map's block."""
 
 
 def volume_work(task: Workload, settings: VolumeSettings) -> Work:
-    """Of shadow volumes in all of the picture."""
+    """Return the work of shadow volumes over the whole picture."""
     counts = {task.by_view("silhouettes"): silhouette_counts(task), task.by_view("counting"): stencil_counts(task, settings)}
     return times_points(counts, settings.light_points) if settings.filter == "sun" else counts
 
 
 def silhouette_counts(task: Workload) -> Counts:
-    """Finding the edges that faces towards the light share with others."""
+    """Return the counts of finding silhouettes: the edges between faces towards the light and others."""
     return {
         "blocks": 1.0, "triangles": task.triangles("meshes"), "edges": float(_mesh_edges(task)),
         "ground": task.ground_triangles,
@@ -38,7 +41,7 @@ def _mesh_edges(task: Workload) -> int:
 
 
 def volume_faces(task: Workload) -> tuple[float, float, float]:
-    """Sides and caps of the volumes of meshes, and faces of those of the ground; twice as many under a lamp."""
+    """Return the sides and caps of the volumes of meshes, and the faces of those of the ground; twice as many under a lamp."""
     ends = 1.0 if task.light == SUN else 2.0
     closed = getattr(task.caster_facts("meshes"), "closed_share", 0.0)
     caps = task.triangles("meshes") * (1.0 - closed / 2.0)
@@ -47,10 +50,10 @@ def volume_faces(task: Workload) -> tuple[float, float, float]:
 
 
 def stencil_counts(task: Workload, settings: StencilSettings, marked: float | None = None) -> Counts:
-    """Counting volumes in all of the picture, or in the share of its tiles that is ``marked``.
+    """Return the counts of counting volumes over the whole picture, or over the share of its tiles that is ``marked``.
 
     Sides reach across the picture, into as many rectangles as lie along it; caps are small. Layers that cover a rectangle are not
-    drawn, and the more there are, the more do: time grows far slower than their number. How slowly was found by measuring.
+    drawn. More layers cover more rectangles, so time grows far slower than their number. The growth was measured.
     """
     edges, caps, ground = volume_faces(task)
     faces = edges + caps + ground

@@ -1,4 +1,4 @@
-// The smallest depth of a block of texels.
+// Compute the minimum depth of a block of texels.
 uniform sampler2D depth_map;
 uniform int block_texels;
 out float least;

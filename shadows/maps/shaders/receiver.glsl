@@ -1,58 +1,58 @@
-// The visible point of a pixel, as a light sees it, held against the depth map. Derived in docs/shadow-maps.md.
+// Compare the visible point of a pixel with a light's depth map. docs/shadow-maps.md derives it.
 uniform sampler2D position_frame_m;  // rgb: the visible points
-uniform sampler2D normal_frame;      // rgb: their triangles' unit normals, a: crease; below 0: on no triangle of a map's ground, or else
-                                     // on the top of a column
-uniform sampler2D node_frame_m;      // rgb: the nodes of a map's ground, a: 1 where the quad south-east of one is cut to its south-east
-uniform sampler2D corner_frame_m;    // rgb: three texels a pixel, the corners of the triangle; zeros on a map's ground
+uniform sampler2D normal_frame;      // rgb: unit normals of their triangles, a: crease; negative off the triangles of a map's
+                                     // ground, or, without such ground, on the top of a column
+uniform sampler2D node_frame_m;      // rgb: nodes of a map's ground, a: 1 if the quad south-east of it is cut to its south-east
+uniform sampler2D corner_frame_m;    // rgb: three texels per pixel, the corners of the triangle; zeros on a map's ground
 uniform sampler2D depth_map;
-uniform bool on_nodes;               // whether there is a map's ground
+uniform bool on_nodes;               // whether the view has a map's ground
 uniform bool has_corners;
 uniform bool lamp;
 uniform mat3 light_from_frame;
 uniform vec3 light_offset_m;
-uniform vec3 window_m;               // the sun's map
+uniform vec3 window_m;               // extent of the sun's map
 uniform vec2 texel_m;
-uniform float tangent;               // a lamp's map
+uniform float tangent;               // half the width of a lamp's map at distance 1
 uniform vec2 near_far_m;
-uniform int faces;                   // 1, or 6 of an omni light: three beside one another, in two rows
+uniform int faces;                   // 1, or 6 of an omni light, in two rows of three
 uniform mat3 face_from_lamp[6];
-uniform ivec2 map_size;              // of a face
+uniform ivec2 map_size;              // texels of a face
 uniform vec2 first_node;             // node coordinates (column, row) of the first pixel's centre
 uniform vec2 node_step;
-uniform bool placed;                 // whether pixels are some of a map's, one after another, and where each lies is told
+uniform bool placed;                 // whether the pixels are gathered from a map's, with their places in ``place``
 uniform sampler2D place;             // rg: column and row of a pixel
-uniform bool by_triangles;           // whether depths are compared on triangles that are known
-uniform bool by_offset;              // whether a point is moved along its normal elsewhere
-uniform float bias_scale;            // 1: as derived
-uniform float error_m;               // of a position in float32
-uniform float depth_step;            // between two depths that the map can tell apart, in [0, 1]
-uniform int taps;                    // that decide on a point, a side of their square, ...
-uniform int taps_beside;             // ... and where no triangle is known
-uniform bool lit_by_taps;            // whether nothing else decides
+uniform bool by_triangles;           // whether depths are compared on known triangles
+uniform bool by_offset;              // whether other points are moved along their normals
+uniform float bias_scale;            // factor of the derived offset
+uniform float error_m;               // float32 error of a position
+uniform float depth_step;            // resolution of the map's depths in [0, 1]
+uniform int taps;                    // taps along a side of the square around a point
+uniform int taps_beside;             // the same where no triangle is known
+uniform bool lit_by_taps;            // whether the taps alone determine the visibility
 
-// Round a node, counter-clockwise from above: the nodes beside it, and the corners of its quads between them.
+// The ring around a node, counter-clockwise from above: its neighbours, and the corners of its quads between them.
 const ivec2 RING[8] = ivec2[](
     ivec2(1, 0), ivec2(1, -1), ivec2(0, -1), ivec2(-1, -1), ivec2(-1, 0), ivec2(-1, 1), ivec2(0, 1), ivec2(1, 1)
 );
 
-const float ON_EDGE = 1e-5;          // of a cell: so near to an edge a point is shared by what lies on either side
+const float ON_EDGE = 1e-5;          // share of a cell: a point so near to an edge belongs to both sides
 
 vec3 point;                          // in light space, as are the following
 vec3 normal;                         // towards the light
 float crease;
-vec3 middle, ring[9];                // a corner of the known triangles, and from there the others
+vec3 middle, ring[9];                // a corner of the known triangles, and the others relative to it
 int triangles = 0;
-bool own = false;                    // whether there is one, the point's own
-bool on_top;                         // of a column: the triangle and its other half
-bool in_the_open = false;            // whether nothing lies before it, wherever its taps may fall
-vec3 e, g;                           // its sides over its area as the sun sees it, its slope, and what is taken off its depth
+bool own = false;                    // whether the known triangle is the point's own
+bool on_top;                         // on the top of a column: the triangle and its other half
+bool in_the_open = false;            // whether no tap can meet a caster
+vec3 e, g;                           // for the sun: its sides over its area, its slope, and the amount subtracted from its depth
 vec2 slope;
 float slack_m;
 ivec2 face_origin = ivec2(0);
 
 float cross2(vec2 a, vec2 b) { return a.x * b.y - a.y * b.x; }
 
-// Texel coordinates of a light-space point, and the depth that the map would hold for a distance along its axis.
+// Return the texel coordinates of a light-space point, and the map's depth for a distance along the light's axis.
 vec2 texel_of(vec3 p) { return lamp ? (0.5 + 0.5 * p.xy / (p.z * tangent)) * vec2(map_size) : p.xy / texel_m; }
 float depth_of(float z) {
     if (!lamp) return z / window_m.z;
@@ -63,14 +63,15 @@ float depth_of(float z) {
 bool is_outside(vec2 at) { return any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, vec2(map_size))); }
 float held(vec2 at) { return texelFetch(depth_map, face_origin + ivec2(at), 0).r; }
 
-// Whether a depth along the light's axis is lit in a texel.
+// Return whether a distance along the light's axis is lit in a texel.
 bool is_lit(vec2 at, float z) {
     float rounding = by_offset ? 0.5 * depth_step : 0.0;
     return is_outside(at) || min(depth_of(z) - rounding, 1.0) <= held(at);
 }
 
-// Whether the light meets a triangle (a corner, and its sides from there) in a texel's centre, and how far along its axis; the
-// slack is what the rasteriser's grid of 1/256 texel makes of the slope. The sun's must face it, a lamp's may lie either way.
+// Return whether the light meets a triangle (a corner, and its sides from there) at a texel's centre, and the distance along the
+// light's axis. The slack is the depth error from the rasteriser's grid of 1/256 texel. The triangle must face the sun; under a
+// lamp it may face either way.
 bool meets(vec3 base, vec3 e, vec3 g, vec2 centre, out float z, out float slack) {
     float around = length(e) + length(g);
     if (lamp) {
@@ -96,7 +97,7 @@ bool meets(vec3 base, vec3 e, vec3 g, vec2 centre, out float z, out float slack)
 
 vec3 in_light(vec3 frame_m) { return light_from_frame * frame_m + light_offset_m; }
 
-// The point moved clear, for ``count`` taps a side, of every surface that passes through it.
+// Return the point moved clear of every surface that passes through it, for ``count`` taps along a side.
 vec3 clear_of(int count) {
     if (!by_offset) return point;
     vec2 side = lamp ? vec2(2.0 * tangent * point.z) / vec2(map_size) : texel_m;
@@ -105,7 +106,7 @@ vec3 clear_of(int count) {
     return point + normal * (bias_scale * offset_m + error_m) - vec3(0.0, 0.0, error_m);
 }
 
-// Whether the map holds nothing in a square of taps round a point.
+// Return whether the map holds no caster in a square of taps around a point.
 bool is_empty(vec3 p, int count) {
     vec2 first = floor(texel_of(p) - 0.5 * float(count - 1));
     for (int row = 0; row < count; row++) {
@@ -117,7 +118,7 @@ bool is_empty(vec3 p, int count) {
     return true;
 }
 
-// Read a pixel; false where there is no surface.
+// Read a pixel; return false off the surface.
 bool receive(ivec2 pixel) {
     vec3 seen = texelFetch(position_frame_m, pixel, 0).xyz;
     if (seen.x != seen.x) return false;
@@ -147,7 +148,7 @@ bool receive(ivec2 pixel) {
         return true;
     }
 
-    // The triangles that the map may hold where the point is looked up: those round the nearest node of a map's ground, else the
+    // The triangles that the map may hold at the point's taps: those around the nearest node of a map's ground, otherwise the
     // point's own.
     if (has_corners) {
         ivec2 first = ivec2(pixel.x * 3, pixel.y);
@@ -166,14 +167,14 @@ bool receive(ivec2 pixel) {
         ivec2 low = ivec2(ceil(at - 0.5 - ON_EDGE)), high = ivec2(floor(at + 0.5 + ON_EDGE)), node = low;
         vec3 centre = texelFetch(node_frame_m, node, 0).xyz;
         middle = turned * in_light(centre);
-        for (int k = 1; k < 4; k++) {  // half-way between nodes: of these the one that is nearest to the light
+        for (int k = 1; k < 4; k++) {  // half-way between nodes, take the one nearest to the light
             ivec2 other = ivec2(k % 2 == 1 ? high.x : low.x, k / 2 == 1 ? high.y : low.y);
             if (other == node) continue;
             vec3 candidate = texelFetch(node_frame_m, other, 0).xyz, in_map = turned * in_light(candidate);
             if (in_map.z < middle.z || middle.z != middle.z) { node = other; centre = candidate; middle = in_map; }
         }
         vec2 aside = at - vec2(node);
-        // The ring's nodes without the corners of quads whose cut runs beside the node.
+        // The ring's nodes, without corners of quads whose cut misses the node.
         vec3 around[9];
         ivec2 beside[9];
         for (int k = 0; k < 8; k++) {
@@ -186,7 +187,7 @@ bool receive(ivec2 pixel) {
         }
         around[triangles] = around[0];
         beside[triangles] = beside[0];
-        // The point's own comes first: where several share it, the one that faces the light most.
+        // The point's own triangle comes first. Where several share the point, it is the one that faces the light most.
         vec3 to_light = transpose(turned * light_from_frame) * (lamp ? -point : vec3(0.0, 0.0, -1.0));
         int mine = 0;
         float most = -1e30;
@@ -201,7 +202,7 @@ bool receive(ivec2 pixel) {
             ring[k] = turned * in_light(around[(mine + k) % triangles]) - middle;
         ring[triangles] = ring[0];
     }
-    if (own && !lamp) {  // as ``meets`` says, with all that the taps share taken out
+    if (own && !lamp) {  // as in ``meets``, with the common terms of all taps
         e = ring[0];
         g = ring[1];
         float area = cross2(e.xy, g.xy);
@@ -213,8 +214,7 @@ bool receive(ivec2 pixel) {
     return true;
 }
 
-// Whether a texel's centre falls into a known triangle, and the depth there that the map holds unless something is nearer: for
-// the sun the point's own, ...
+// Return whether a texel's centre lies in the point's own triangle, and the triangle's depth there; for the sun.
 bool is_on_own(vec2 at, out float z) {
     vec2 aside = (at + 0.5) * texel_m - middle.xy;
     float u = cross2(aside, g.xy), v = cross2(e.xy, aside);
@@ -222,9 +222,9 @@ bool is_on_own(vec2 at, out float z) {
     return u >= 0.0 && v >= 0.0 && (on_top ? max(u, v) : u + v) <= 1.0;
 }
 
-// ... in general its own before all others, and of these the one that is there nearest to the point in depth: where the ring is
-// folded, as the light sees it, a centre may fall into several. Apart, since a test in each tap's loop would cost more than the
-// taps.
+// Return the same for any known triangle: the own one first, otherwise the one whose depth is nearest to the point's. A centre may
+// lie in several triangles if the ring is folded as seen from the light. This is a function of its own, since a test in each tap's
+// loop would cost more than the taps.
 bool is_on_any(vec2 at, out float z) {
     float least = 1e30;
     for (int k = 0; k < triangles; k++) {

@@ -1,7 +1,7 @@
-// Visibility of a light from a depth map: the share of lit texels in a square round the point.
+// Compute the visibility of a light from a depth map: the share of lit texels in a square around the point.
 out float visibility;
 
-// How much of a tap lies in the square of count - 1 texels round the point: the share of lit texels in it has no stairs.
+// Return the overlap of a tap with the square of count - 1 texels around the point. The lit share of this square has no stairs.
 float weight_of(int count, int col, int row, vec2 beyond) {
     if (count == 1) return 1.0;
     float across = col == 0 ? 1.0 - beyond.x : col == count - 1 ? beyond.x : 1.0;
@@ -13,7 +13,7 @@ void main() {
     if (!receive(ivec2(gl_FragCoord.xy))) { visibility = 1.0; return; }
     if (lamp && point.z <= 0.0) { visibility = 0.0; return; }
     if (in_the_open) { visibility = 1.0; return; }
-    precise float lit = 0.0, counted = 0.0;  // summed alike, so that what is all lit is exactly 1
+    precise float lit = 0.0, counted = 0.0;  // summed in the same order, so that full visibility is exactly 1
     float z;
     vec2 corner = texel_of(point) - 0.5 * float(taps - 1);
     vec2 first_tap = floor(corner), beyond = fract(corner);
@@ -28,7 +28,7 @@ void main() {
                 }
             }
         }
-    } else if ((lamp || on_nodes) && triangles > 0) {  // left out where it is known not to be
+    } else if ((lamp || on_nodes) && triangles > 0) {  // compiled away where constants exclude it
         for (int row = 0; row < taps; row++) {
             for (int col = 0; col < taps; col++) {
                 vec2 at = first_tap + vec2(col, row);

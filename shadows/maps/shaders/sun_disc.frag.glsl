@@ -1,29 +1,29 @@
-// Visibility of the sun's disc from a depth map: the share of its samples that no texel covers, each texel seen from the point
-// at the distance that it holds. Derived in docs/shadow-maps.md.
-uniform sampler2D least_depth;       // the smallest depth of each block of block_texels x block_texels texels
+// Compute the visibility of the sun's disc from a depth map: the share of its samples that no texel covers. Each texel is projected
+// onto the disc at its stored depth. docs/shadow-maps.md derives it.
+uniform sampler2D least_depth;       // minimum depth of each block of block_texels x block_texels texels
 uniform int block_texels;
-uniform ivec2 first_texel;           // of the map, counted from the anchor
-uniform float disc_tangent;          // of the disc's radius
-uniform vec2 widest_m;               // the widest that the disc is taken for across the map
-uniform uvec4 left_of[129];          // bits of the samples whose place right (in [-1, 1]) is less than that of an edge
-uniform uvec4 below[129];            // ... and up
+uniform ivec2 first_texel;           // first texel of the map, relative to the anchor
+uniform float disc_tangent;          // tangent of the disc's angular radius
+uniform vec2 widest_m;               // upper bound of the disc's half widths across the map
+uniform uvec4 left_of[129];          // bits of the samples whose position right (in [-1, 1]) is less than an edge's
+uniform uvec4 below[129];            // the same for up
 out float visibility;
 
 const uvec4 NONE = uvec4(0u), ALL = uvec4(0xffffffffu);
-const int ACROSS = 16;               // cells that are looked at along the disc's diameter; more texels are taken together
+const int ACROSS = 16;               // cells along the disc's diameter; more texels are merged into cells
 
 int count(uvec4 samples) {
     ivec4 bits = bitCount(samples);
     return bits.x + bits.y + bits.z + bits.w;
 }
 
-// The samples in a rectangle.
+// Return the samples in a rectangle.
 uvec4 samples_in(vec2 low, vec2 high) {
     ivec4 edge = ivec4((0.5 * clamp(vec4(low, high), -1.0, 1.0) + 0.5) * 128.0 + 0.5);
     return left_of[edge.z] & ~left_of[edge.x] & below[edge.w] & ~below[edge.y];
 }
 
-// The samples whose direction does not leave the receiver's own plane towards the sun.
+// Return the samples behind the receiver's own plane.
 uvec4 samples_behind_own() {
     uvec4 behind = NONE;
     if (-normal.z > disc_tangent * length(normal.xy)) return behind;
@@ -35,17 +35,17 @@ uvec4 samples_behind_own() {
     return behind;
 }
 
-// Half the disc's widths (right, up) across what lies ``ahead_m`` before the point: at least a texel, so that no stairs show.
+// Return half the disc's widths (right, up) at the distance ``ahead_m`` in front of the point: at least a texel, to avoid stairs.
 vec2 disc_m(float ahead_m) { return clamp(vec2(ahead_m * disc_tangent), texel_m, widest_m); }
 
-// Whether a depth in a place of the map is the receiver's own plane's, but for what rounding makes of it.
+// Return whether a depth at a texel lies on the receiver's own plane, up to rounding.
 bool is_own(vec2 texel, float z) {
     vec2 tilt = -normal.xy / min(normal.z, -1e-6);
     float slack_m = dot(abs(tilt), texel_m / 128.0 + error_m) + error_m + 0.5 * depth_step * window_m.z;
     return abs(z - point.z - dot(tilt, texel * texel_m - point.xy)) <= slack_m;
 }
 
-// How far from the point something can lie, seen along the axis, and cover a part of the disc.
+// Return the largest distance from the point, across the light's axis, at which an occluder can cover a part of the disc.
 vec2 reach_m(float far_m) {
     vec2 reach = vec2(0.0);
     float size = float(block_texels);
@@ -64,7 +64,7 @@ vec2 reach_m(float far_m) {
     return reach;
 }
 
-// Half the disc's widths across what a cell of ``size`` texels holds; 0 where that is not before the point by ``far_m``.
+// Return half the disc's widths at the occluder in a cell of ``size`` texels; 0 unless it lies ``far_m`` in front of the point.
 vec2 covering_m(ivec2 cell, ivec2 size, float far_m) {
     ivec2 texel = cell * size + size / 2 - first_texel;
     if (any(lessThan(texel, ivec2(0))) || any(greaterThanEqual(texel, map_size))) return vec2(0.0);
@@ -72,14 +72,14 @@ vec2 covering_m(ivec2 cell, ivec2 size, float far_m) {
     return point.z - z >= far_m && !is_own(vec2(texel) + 0.5, z) ? disc_m(point.z - z) : vec2(0.0);
 }
 
-// The samples that are covered by what lies at least ``far_m`` before the point.
+// Return the samples covered by occluders at least ``far_m`` in front of the point.
 uvec4 covered(float far_m) {
     uvec4 dark = samples_behind_own();
     vec2 reach = reach_m(far_m);
     if (reach.x == 0.0) return dark;
     ivec2 size = max(ivec2(ceil(2.0 * reach / (float(ACROSS) * texel_m))), ivec2(1));
     vec2 cell_m = texel_m * vec2(size);
-    ivec2 whole = ivec2(floor((vec2(first_texel) + 0.5) / vec2(size)));  // cells are counted from the anchor: all maps have the same
+    ivec2 whole = ivec2(floor((vec2(first_texel) + 0.5) / vec2(size)));  // cells are relative to the anchor, so all maps share them
     vec2 shift = vec2(first_texel - whole * size);
     ivec2 first = ivec2(floor(((point.xy - reach) / texel_m + shift) / vec2(size))) + whole;
     ivec2 last = ivec2(floor(((point.xy + reach) / texel_m + shift) / vec2(size))) + whole;
@@ -90,7 +90,7 @@ uvec4 covered(float far_m) {
             if (disc.x > 0.0) {
                 vec2 corner = vec2(ivec2(col, row) * size - first_texel) * texel_m - point.xy, low = corner / disc;
                 vec2 under = covering_m(ivec2(col, row - 1), size, far_m);
-                // No gap to the cells before it, which seen from farther or nearer would end elsewhere.
+                // Close the gap to the previous cells, whose edges are projected from other depths.
                 if (left.x > 0.0) low.x = min(low.x, corner.x / left.x);
                 if (under.y > 0.0) low.y = min(low.y, corner.y / under.y);
                 dark |= samples_in(low, (corner + cell_m) / disc);
@@ -101,19 +101,19 @@ uvec4 covered(float far_m) {
     return dark;
 }
 
-// Whether something in a texel that is nearer than that darkens a depth.
+// Return whether an occluder in a texel, nearer to the point than ``far_m``, shades a depth.
 bool blocks(vec2 at, float z, float far_m) { return !is_lit(at, z) && point.z - held(at) * window_m.z < far_m; }
 
 void main() {
     visibility = 1.0;
     if (!receive(ivec2(gl_FragCoord.xy))) return;
-    // Here the disc is as wide as a texel. What is farther needs no bias: it lies hundreds of texels before the point.
+    // At this distance the disc is as wide as a texel. Farther occluders need no bias: they are hundreds of texels away.
     float far_m = min(texel_m.x, texel_m.y) / disc_tangent;
-    // Both ways see what lies between: nothing falls through where a caster passes from one to the other.
+    // Both methods include the range between. A caster that spans both is never missed.
     uvec4 open = ~covered(0.5 * far_m);
     if (open == NONE) { visibility = 0.0; return; }
 
-    // Nearer ones: the samples are spread over a texel's radius, and the texels there compared as the square filter does.
+    // Nearer occluders: the samples spread over a texel's radius, and its texels are compared as in the square filter.
     uvec4 blocked = NONE, unknown = NONE;
     vec2 from = texel_of(point), first = floor(from - 1.0);
     for (int row = 0; row < 3; row++) {

@@ -1,4 +1,4 @@
-uniform sampler2D seen;  // depth of a point, -1 where what is drawn says it, NaN where nothing is of interest
+uniform sampler2D seen;  // depth of a point; -1 where drawing the surface gives it, NaN where no point is wanted
 uniform bool marking;
 
 void main() {

@@ -1,4 +1,4 @@
-// A homogeneous point of a receiver, a caster or a shadow volume: all by this one path, so that what coincides has the same depth.
+// Transform a homogeneous point of a receiver, a caster or a shadow volume. One path for all gives coincident points equal depths.
 in vec4 position;
 uniform mat4 clip_from_frame;
 uniform vec3 origin_frame_m;
