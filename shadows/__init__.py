@@ -1,6 +1,8 @@
-"""Plan -> Frame: the shadow algorithms, each filling the visibility of one light for the points of a geometry buffer.
+"""Plan -> Frame: the shadow algorithms. Each fills the visibility of one light for the points of a geometry buffer.
 
-Beside the folders lies what all algorithms share (``algorithm``: what one is; ``passes``,
-``work``, ``attached``, ``area_light``), the smallest two (``planar``, ``none``), and what runs them: ``registry``, ``plan``,
-``visibility`` and ``render``.
+- The folders hold one algorithm, or one family of algorithms, each.
+- ``algorithm`` defines the record that declares an algorithm; ``passes``, ``work``, ``attached`` and ``area_light`` hold code that
+  all algorithms share.
+- ``planar`` and ``none`` are the smallest algorithms.
+- ``registry``, ``plan``, ``visibility`` and ``render`` list the algorithms and run them.
 """

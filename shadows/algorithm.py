@@ -1,5 +1,7 @@
-"""What a shadow algorithm is: one record, in which the algorithm's own module ends. ``skugga.shadows.registry`` lists the records,
-and the planner, the portfolio, the cost and error models, the calibration and the report read them.
+"""The record that declares a shadow algorithm.
+
+The module of an algorithm ends in one ``Algorithm`` record. ``skugga.shadows.registry`` lists the records. The planner, the
+portfolio, the cost and error models, the calibration and the report read them.
 """
 
 from __future__ import annotations
@@ -23,39 +25,56 @@ from skugga.terrain.level.level import SUN, CasterKind, Shadows
 from skugga.terrain.scene import Scene
 
 ViewKind = Literal["map", "bent map", "perspective"]
-"""``bent map``: one that no camera can see as it is, for the earth and its projection bend it."""
+"""``bent map``: a map that no affine camera fits, because the earth's curvature and the projection bend it."""
 
 GroundKind = Literal["level", "uneven"]
-"""``level`` is one plane: without relief, in a flat world."""
+"""``level``: the ground is one plane, in a flat world without relief. ``uneven``: any other ground."""
 
 RayKind = Literal["bent rays"]
-"""``bent rays``: what is drawn at once is so wide that the sun's rays are no straight lines in it."""
+"""``bent rays``: the area drawn at once is so wide that the sun's rays are not straight lines in it."""
 
 ExtentKind = Literal["area light"]
-"""``area light``: one that is to be shown as the disc or ball that it is, with penumbrae."""
+"""``area light``: the light is shown as a disc or a ball, with penumbrae."""
 
 Requirement = ViewKind | LightKind | CasterKind | GroundKind | RayKind | ExtentKind
-"""A part of what is asked of an algorithm: a view, a light, a kind of casters, a ground, rays, a light's extent."""
+"""One requirement of an algorithm: a kind of view, light, casters, ground or rays, or the extent of a light."""
 
 FALLS_BACK_FOR: Requirement = "bent rays"
-"""What an algorithm that is asked for by name falls back for, to ``shadow_map``, and is no error. For it depends on how far one
-zooms out, and a level that asks for a sweep has all zooms.
+"""The requirement for which an algorithm that is requested by name falls back to ``shadow_map`` without an error.
+
+The requirement depends on the zoom, and a level that requests a sweep has all zooms.
 """
 
 MOST_BEND_PX = 0.25
-"""How far, in pixels, a map may lie off what cameras see of its parts, for an algorithm that draws in the view itself."""
+"""Upper bound, in pixels, of the distance between a map and the camera views of its parts, for algorithms that draw in the view."""
 
 DRAWS_IN_THE_VIEW = "the map bends: at this scale no affine camera fits it to a quarter of a pixel"
-"""Why such an algorithm refuses a ``bent map``."""
+"""The reason with which such an algorithm refuses a ``bent map``."""
 
 
 FEW_MAP_SIZES = (1024, 2048, 4096)
-"""Sizes of maps that are tried beside an algorithm without maps, so that candidates do not become too many."""
+"""Sizes of maps that are tried beside an algorithm without maps. A short list limits the number of candidates."""
 
 
 def is_area(descriptor: Descriptor, light: str, shadows: Shadows) -> bool:
-    """Whether a light is to be shown as the area that it is: the sun's disc if that is asked for; a lamp's ball if it has a radius
-    and that is asked for, or no taps are asked for and its penumbrae are wider than a pixel.
+    """Return whether a light is shown as an area light.
+
+    The sun is shown as its disc if ``filter`` is ``sun``. A lamp is shown as its ball if it has a radius and either ``filter`` is
+    ``sun``, or ``filter`` is ``auto`` and its penumbrae are wider than a pixel.
+
+    Parameters
+    ----------
+    descriptor
+        The facts of a view.
+    light
+        The name of the light.
+    shadows
+        The requested shadow settings.
+
+    Returns
+    -------
+    bool
+        Whether the light is shown with penumbrae.
     """
     if light == SUN:
         return shadows.filter == "sun"
@@ -64,7 +83,24 @@ def is_area(descriptor: Descriptor, light: str, shadows: Shadows) -> bool:
 
 
 def requirements_of(descriptor: Descriptor, light: LightKind, caster: CasterKind, area: bool = False) -> tuple[Requirement, ...]:
-    """What an algorithm is asked to serve, for a light of a kind (as an ``area``) and a kind of casters."""
+    """Return the requirements that an algorithm has to serve for a light and a kind of casters.
+
+    Parameters
+    ----------
+    descriptor
+        The facts of a view.
+    light
+        The kind of the light.
+    caster
+        The kind of casters.
+    area
+        Whether the light is shown as an area light.
+
+    Returns
+    -------
+    tuple of Requirement
+        The kinds of view, light, casters and ground; then ``bent rays`` and ``area light`` where they apply.
+    """
     level_ground = descriptor.flat_world and descriptor.relief_m <= 0.0
     view: tuple[Requirement, ...] = (
         (descriptor.view_kind, "bent map") if descriptor.bend_px > MOST_BEND_PX else (descriptor.view_kind,)
@@ -84,38 +120,54 @@ class Reasoned(BaseModel):
 
 
 class AlgorithmSettings(BaseModel):
-    """Resolved settings of an algorithm: nothing is left to choose. A subclass says what there is."""
+    """Resolved settings of an algorithm, without any automatic values. A subclass declares the fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     @property
     def asked_as(self) -> dict[str, Any]:
-        """The same as a level's ``shadows`` would ask for them, as far as it has such keys."""
+        """The settings as keys and values of a level's ``shadows``; fields that are no such keys are left out."""
         return {key: getattr(self, key) for key in Shadows.model_fields if hasattr(self, key)}
 
     @property
     def label(self) -> list[str]:
-        """What tells these settings from others, a word each: part of a candidate's name."""
+        """The words that distinguish these settings from others, for the name of a candidate."""
         required = [str(getattr(self, name)) for name, field in type(self).model_fields.items() if field.is_required()]
         return [*required, *self.changed()]
 
     def changed(self, *but: str) -> list[str]:
-        """The values that are not the defaults, of what a level can ask for; but for some fields."""
+        """Return the values that differ from their defaults, as text.
+
+        Parameters
+        ----------
+        *but
+            Names of fields that are left out. Fields that are no keys of a level's ``shadows`` are always left out.
+        """
         defaults = {name: each.default for name, each in type(self).model_fields.items() if not each.is_required()}
         named = [name for name in defaults if name in Shadows.model_fields and name not in but]
         return [str(getattr(self, name)) for name in named if getattr(self, name) != defaults[name]]
 
 
 class AreaSettings(AlgorithmSettings):
-    """Settings of an algorithm that shows a light as the area that it is by points of it: ``light_points`` of them."""
+    """Settings of an algorithm that draws an area light as the mean over ``light_points`` point lights."""
 
     light_points: int = Field(default=MAX_POINTS, ge=1)
 
 
 @dataclass(frozen=True)
 class SettingsRequest:
-    """What an algorithm resolves its settings from: the facts of a view, a light, what level and request ask of the shadows, and
-    why the sun's edges are to be sharp (``None``: they need not be).
+    """The input from which an algorithm resolves its settings.
+
+    Attributes
+    ----------
+    descriptor
+        The facts of a view.
+    light
+        The name of the light.
+    shadows
+        The shadow settings that level and request ask for.
+    sharp_because
+        The reason why the sun's shadows need hard edges; ``None`` if they do not.
     """
 
     descriptor: Descriptor
@@ -125,26 +177,39 @@ class SettingsRequest:
 
     @property
     def sharpened(self) -> Shadows:
-        """What is asked, with one tap where the sun's edges are to be sharp."""
+        """The requested shadow settings, with one tap if the sun's shadows need hard edges."""
         return self.shadows.model_copy(update={"filter": 1}) if self._is_sharpened else self.shadows
 
     @property
     def why_sharpened(self) -> list[Reasoned]:
-        """The reason for that, for an algorithm that would filter otherwise."""
+        """The reason for hard edges; empty if the requested filter is not changed."""
         return [Reasoned(name="filter 1", reason=f"hard edges: {self.sharp_because}")] if self._is_sharpened else []
 
     @property
     def is_area(self) -> bool:
-        """Whether the light is to be shown as the area that it is."""
+        """Whether the light is shown as an area light."""
         return is_area(self.descriptor, self.light, self.sharpened)
 
     @property
     def light_points(self) -> int:
-        """Points that an area light is shown by."""
+        """The number of point lights that an area light is averaged over."""
         return max(light_points(self.descriptor, self.light), MIN_POINTS) if self.is_area else MAX_POINTS
 
     def without_filter(self, name: str, *filters: int | str) -> list[Reasoned]:
-        """Of an algorithm without filters other than these: what is said where one is asked for."""
+        """Return the reason why a requested filter has no effect, for an algorithm that ignores it.
+
+        Parameters
+        ----------
+        name
+            The name of the algorithm.
+        *filters
+            Filters that the algorithm has, besides ``auto`` and 1.
+
+        Returns
+        -------
+        list of Reasoned
+            One entry; empty if the algorithm has the requested filter.
+        """
         asked = self.sharpened.filter
         if asked in ("auto", 1, *filters):
             return []
@@ -156,29 +221,32 @@ class SettingsRequest:
 
 
 ResolvedSettings = tuple[AlgorithmSettings | None, list[Reasoned]]
-"""Settings, if an algorithm has any, and the reasons for what was left to choose."""
+"""The settings, if the algorithm has any, and the reasons for automatic values."""
 
 Overrides = Mapping[str, Any]
-"""Fields of ``Shadows`` with values, as a request gives them."""
+"""Fields of ``Shadows`` with values, as in a request."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """What is tried of an algorithm where the best is looked for.
+    """The settings of an algorithm that the selector searches.
 
     Attributes
     ----------
     tuned
-        Fields of ``Shadows`` that policies turn, with the values in the order in which they are tried.
+        Fields of ``Shadows`` that policies vary, each with its values in the order in which they are tried.
     tunes
-        Whether a value of such a field makes sense for a view and a light (its name); else the field is left to the algorithm.
+        Function of a descriptor, a light's name, a field and a value: whether the value makes sense there. If it does not, the
+        algorithm resolves the field itself.
     map_sizes_beside
-        Where it takes on some kinds of casters and maps the others: the sizes of these maps that are tried (``None``: all).
+        Sizes of maps that are tried where this algorithm takes some kinds of casters and a map takes the others; ``None``: all
+        sizes.
     hopeless
-        Whether it is no candidate for a kind of casters, though it could serve it.
-    compared, variants
-        What the accuracy report compares: overrides that vary its resolution, and others, which are the first to go where they
-        become too many.
+        Function of a descriptor and a kind of casters: whether the algorithm is no candidate there, although it could serve it.
+    compared
+        Overrides that vary the resolution, for the accuracy report.
+    variants
+        Further overrides for the accuracy report. They are dropped first if there are too many.
     """
 
     tuned: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
@@ -191,19 +259,19 @@ class Search:
 
 @dataclass(frozen=True)
 class Cost:
-    """What an algorithm's time is predicted from.
+    """The input from which the time of an algorithm is predicted.
 
     Attributes
     ----------
     work
-        What a step does, by part, counted from the descriptor alone (``skugga.shadows.work``). ``None``: all pixels and triangles,
-        in one part of the algorithm's name.
+        Function that counts the work of a step by part, from the descriptor alone (``skugga.shadows.work``). ``None``: all pixels
+        and triangles, in one part with the algorithm's name.
     passes
-        Parts (without the kind of view or light) that have a pass of their own on record. What is left of a step's time is that of
-        its last part.
+        Parts (without the kind of view or light) whose pass is recorded separately. The last part takes the rest of a step's time.
     calibrated
-        The settings that a calibration measures for a view and a light (its name) of a made scene, on which everything is tried
-        (``full``), less (``some``), or only what needs the scene (``few``). ``None``: those that it has by itself.
+        Function of a descriptor, a light's name and the extent of the calibration, that returns the settings to measure on a
+        synthetic scene. The extent is ``full`` (all settings), ``some`` (fewer) or ``few`` (only those that need the scene).
+        ``None``: the automatic settings.
     """
 
     work: Callable[[Workload, Any], Work] | None = None
@@ -213,8 +281,16 @@ class Cost:
 
 @dataclass(frozen=True)
 class ErrorConstants:
-    """Of an algorithm: which share of the cast shadow it gets wrong however fine it is, which part of what is wrong lies inside of
-    shadows and lights, and the scales by which the logarithms of both scatter about what is expected.
+    """Fitted constants of the error of an algorithm.
+
+    Attributes
+    ----------
+    floor
+        Share of the cast shadow that is wrong at any resolution.
+    interior
+        Share of the wrong area that lies inside of shadows and lit areas.
+    spread, interior_spread
+        Scales by which the logarithms of both scatter about their expected values.
     """
 
     floor: float
@@ -225,22 +301,26 @@ class ErrorConstants:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """What an algorithm's errors are predicted from, and held against.
+    """The input from which the errors of an algorithm are predicted and checked.
 
     Attributes
     ----------
     texel_px
-        A texel's side in pixels in a band of distances, across the light (``skugga.selector.cost.error_model``): of a descriptor, a
-        light's name, settings, a band, and the fitted number of a perspective map's texels to a pixel. ``None``: no texels.
+        Function that returns a texel's side across the light, in pixels, in a band of distances
+        (``skugga.selector.cost.error_model``). Its arguments are a descriptor, a light's name, settings, a band, and the fitted
+        number of a perspective map's texels per pixel. ``None``: the algorithm has no texels.
     texel_m
-        A texel's larger side on level ground, metres, at the points of a buffer (rows, cols) or everywhere: of a scene, a light's
-        name, kinds of casters, settings, a buffer. ``None``: no texels.
+        Function that returns a texel's larger side on level ground, in metres, at the points of a buffer (rows, cols) or
+        everywhere. Its arguments are a scene, a light's name, kinds of casters, settings and a buffer. ``None``: the algorithm has
+        no texels.
     wrong_share
-        The share of what is seen on which it throws the shadow of one kind of casters wrongly by its very nature.
-    groups, group_of
-        Names under which errors are fitted, if there are more than one, and which of them a view belongs to.
+        Function that returns the share of the picture on which the algorithm's shadow of one kind of casters is wrong by design.
+    groups
+        Names under which errors are fitted, if there are more than one.
+    group_of
+        Function that returns the group of a view.
     constants
-        Fitted constants by group, for an algorithm that is not among those of ``selector/cost/error_model.json``.
+        Fitted constants by group, for an algorithm that is missing in ``selector/cost/error_model.json``.
     """
 
     texel_px: Callable[[Descriptor, str, Any, CastBand, float], float] | None = None
@@ -256,7 +336,15 @@ MarkColour = Literal["blue", "vermilion", "green", "purple", "orange", "sky", "g
 
 @dataclass(frozen=True)
 class Mark:
-    """How an algorithm looks in plots: a shape and a colour of ``skugga.api.report.page.marks``."""
+    """The marker of an algorithm in plots.
+
+    Attributes
+    ----------
+    shape, colour
+        A shape and a colour of ``skugga.api.report.page.marks``.
+    filled
+        Whether the shape is filled.
+    """
 
     shape: Literal["circle", "square", "triangle", "diamond", "wedge", "star", "cross"]
     colour: MarkColour
@@ -264,13 +352,18 @@ class Mark:
 
 
 Fill = Callable[..., np.ndarray]
-"""Fills the visibility of one light (rows, cols), float32 in [0, 1], for a buffer's points past some kinds of casters: takes a
-``GeometryBuffer``, a ``Scene``, the light's name, kinds of casters, ``Casters``, the settings, and the ``PassLog``.
+"""Function that returns the visibility of one light at a buffer's points, past some kinds of casters.
+
+The result is float32 (rows, cols) in [0, 1]. The arguments are a ``GeometryBuffer``, a ``Scene``, the light's name, the kinds of
+casters, ``Casters``, the settings and the ``PassLog``.
 """
 
 
 FillNodes = Callable[..., np.ndarray]
-"""The same of a map's ``BareNodes``, attached shadow included, past ground alone: bool (rows, cols)."""
+"""Function that returns whether each of a map's ``BareNodes`` is lit: bool (rows, cols), with attached shadow.
+
+The ground alone casts. It takes the nodes in place of the buffer, and the other arguments of ``Fill``.
+"""
 
 
 @dataclass(frozen=True)
@@ -279,27 +372,44 @@ class Algorithm:
 
     Attributes
     ----------
-    name, plural, about
-        Its name in levels and plans; what its shadows are called in headings; a sentence about it.
-    fill, passes
-        What fills visibility (``None``: nothing, all is lit), and the names of the passes that this runs, in order.
+    name
+        The name in levels and plans.
+    about
+        One sentence about the algorithm.
+    fill
+        Function that fills the visibility; ``None``: all points are lit.
     node_fill
-        What fills that of nodes of bare ground from their heights alone under some settings (``None``: nothing does).
+        Function of the settings that returns a function for nodes of bare ground, which reads their heights alone; ``None`` where
+        the algorithm has none.
     idle_casters
-        Whether its visibility stays the same to the bit under some settings if ground that throws no shadow is left out: not a
-        map's, whose taps shade a few points by a step where nothing casts.
+        Function of the settings: whether the visibility stays the same to the bit without ground that casts no shadow. A map
+        returns False, since its taps shade a few points by a step where nothing casts.
+    passes
+        The names of the passes that ``fill`` runs, in order.
+    plural
+        The name of the algorithm's shadows in headings.
     refuses
-        What it cannot serve, with the sentence that says why; it serves everything else.
+        The requirements that the algorithm cannot serve, each with the reason as a sentence.
     layers
-        Intermediate pictures that it leaves behind when they are asked for.
+        Intermediate pictures that it keeps on request.
     served
-        Whether a request over HTTP may ask for it, and the selector may take it.
+        Whether a request over HTTP may ask for it and the selector may choose it.
     needs_opengl
-        Whether it draws.
-    settings, resolve
-        The types of its settings, and what resolves them. Raises ``UnsupportedError`` for what it cannot do at all.
+        Whether it draws with OpenGL.
+    settings
+        The types of its settings.
+    resolve
+        Function that resolves its settings. It raises ``UnsupportedError`` for a request that the algorithm cannot serve.
     keeps
-        The caches (``skugga.terrain.cache``) that it fills, by name; each says how long its values last.
+        The names of the caches (``skugga.terrain.cache``) that it fills. Each cache says how long its values last.
+    search
+        The settings that the selector searches.
+    cost
+        The input from which its time is predicted.
+    accuracy
+        The input from which its errors are predicted.
+    mark
+        Its marker in plots.
     """
 
     name: str
@@ -322,17 +432,46 @@ class Algorithm:
     mark: Mark = Mark("cross", "black")
 
     def refusal(self, parts: Iterable[Requirement]) -> str | None:
-        """Why it cannot serve all of these together; ``None`` if it can."""
+        """Return the reason why the algorithm cannot serve some requirements together.
+
+        Parameters
+        ----------
+        parts
+            The requirements.
+
+        Returns
+        -------
+        str or None
+            The reason for the first requirement that it refuses; ``None`` if it serves them all.
+        """
         return next((self.refuses[part] for part in parts if part in self.refuses), None)
 
     def work(self, task: Workload, settings: AlgorithmSettings | None) -> Work:
-        """What a step of it does, by part."""
+        """Return the work of one step, as counts by part.
+
+        Parameters
+        ----------
+        task
+            The descriptor's quantities for a light and some kinds of casters.
+        settings
+            The resolved settings.
+        """
         if self.cost.work is not None:
             return self.cost.work(task, settings)
         return {self.name: {"blocks": 1.0, "pixels": task.pixels, "triangles": task.all_triangles}} if self.passes else {}
 
     def calibrated(self, descriptor: Descriptor, light: str, grid: str) -> Iterator[AlgorithmSettings | None]:
-        """The settings that a calibration measures."""
+        """Yield the settings that a calibration measures.
+
+        Parameters
+        ----------
+        descriptor
+            The facts of a view of a synthetic scene.
+        light
+            The name of the light.
+        grid
+            The extent of the calibration: ``full``, ``some`` or ``few`` (``Cost``).
+        """
         if self.cost.calibrated is not None:
             yield from self.cost.calibrated(descriptor, light, grid)
         else:
@@ -340,15 +479,15 @@ class Algorithm:
 
     @property
     def error_groups(self) -> tuple[str, ...]:
-        """The names under which its errors are fitted."""
+        """The names under which the errors of the algorithm are fitted."""
         return self.accuracy.groups or (self.name,)
 
     def error_group(self, descriptor: Descriptor) -> str:
-        """The one of a view."""
+        """Return the name under which the errors in a view are fitted."""
         return self.name if self.accuracy.group_of is None else self.accuracy.group_of(descriptor)
 
     def forget(self) -> None:
-        """Empty what it keeps."""
+        """Clear the caches that the algorithm fills."""
         for cache in caches():
             if cache.name in self.keeps:
                 cache.clear()

@@ -1,5 +1,7 @@
-"""Lights as areas: the sun is a disc, a lamp with a radius a ball. An algorithm of hard edges shows their penumbrae as the mean of
-what it draws for points of them (P. Heckbert and M. Herf, Simulating Soft Shadows with Graphics Hardware, CMU-CS-97-104, 1997).
+"""Area lights: the sun is a disc, and a lamp with a radius is a ball.
+
+An algorithm with hard edges shows their penumbrae as the mean of its pictures for points of the light (P. Heckbert and M. Herf,
+Simulating Soft Shadows with Graphics Hardware, CMU-CS-97-104, 1997).
 """
 
 from __future__ import annotations
@@ -21,18 +23,18 @@ from skugga.terrain.level.level import SUN, CasterKind
 from skugga.terrain.scene import Scene
 
 GOLDEN_ANGLE = float(np.pi * (3.0 - 5.0**0.5))
-"""Radians between one point of a spiral and the next."""
+"""Angle, in radians, between consecutive points of a spiral."""
 
 
 def disc_points(samples: int) -> np.ndarray:
-    """Points (samples, 2) of a disc of radius 1, equal areas each: Vogel's spiral (1979)."""
+    """Return points (samples, 2) of the unit disc, of equal areas: Vogel's spiral (1979)."""
     number = np.arange(samples)
     angle, away = number * GOLDEN_ANGLE, np.sqrt((number + 0.5) / samples)
     return away[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def sun_disc(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DEG) -> np.ndarray:
-    """Unit directions (samples, 3) over the sun's disc, equal areas."""
+    """Return unit directions (samples, 3) over the sun's disc, of equal areas."""
     across = np.cross(to_sun, [0.0, 0.0, 1.0] if abs(to_sun[2]) < 0.9 else [1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
     places = np.tan(np.radians(radius_deg)) * disc_points(samples)
@@ -41,10 +43,10 @@ def sun_disc(to_sun: np.ndarray, samples: int, radius_deg: float = SUN_RADIUS_DE
 
 
 def ball_points(samples: int) -> np.ndarray:
-    """Points (samples, 3) in a ball of radius 1 that cover the disc evenly which is seen of it, from wherever it is looked at.
+    """Return points (samples, 3) in the unit ball that cover its visible disc evenly from every direction.
 
-    Evenly over directions, by a spiral. The density at radius r is 1 / sqrt(1 - r^2), whose sums along parallel lines are all
-    alike: with r = sin t, the share within t is (2 t - sin 2t) / pi. Of directions that follow one another, radii lie far apart.
+    The directions are even, along a spiral. The density at radius r is 1 / sqrt(1 - r^2), whose integrals along parallel lines are
+    all equal. With r = sin t, the share within t is (2 t - sin 2t) / pi. Consecutive directions have radii that lie far apart.
     """
     number = np.arange(samples)
     up, turn = 1.0 - (2.0 * number + 1.0) / samples, number * GOLDEN_ANGLE
@@ -56,7 +58,7 @@ def ball_points(samples: int) -> np.ndarray:
 
 
 def scenes_of_points(scene: Scene, light: str, samples: int) -> Iterator[Scene]:
-    """The scene with a light in each of its points: the sun in a direction of its disc, a lamp in a place of its ball."""
+    """Yield the scene with a light at each of its points: the sun in a direction of its disc, a lamp at a position in its ball."""
     if light == SUN:
         assert scene.sun is not None
         for direction in sun_disc(scene.sun.to_sun_earth, samples):
@@ -68,7 +70,7 @@ def scenes_of_points(scene: Scene, light: str, samples: int) -> Iterator[Scene]:
 
 
 def times_points(work: Work, points: int) -> Work:
-    """The work for all points of a light, from that for one."""
+    """Return the work for all points of a light, given the work for one."""
     return {part: {name: points * count for name, count in counts.items()} for part, counts in work.items()}
 
 
@@ -83,9 +85,10 @@ def mean_over_light(
     log: PassLog,
     **changes: Any,
 ) -> np.ndarray:
-    """The mean visibility (rows, cols) float32 of a light's points, as many as settings say, each filled with some ``changes``.
+    """Return the mean visibility (rows, cols) float32 over the points of an area light.
 
-    Where a surface is turned away from a point of the light, that does not reach it. Layers are those of the first point.
+    ``settings.light_points`` is the number of points. Each point is filled with the settings updated by ``changes``. A surface that
+    faces away from a point of the light gets 0 from that point. Layers are kept for the first point alone.
     """
     passes = log.named(light, kinds, ("",))[0]
     visibility, of_point = np.zeros(buffer.there.shape, np.float32), settings.model_copy(update=changes)

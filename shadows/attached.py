@@ -1,4 +1,4 @@
-"""What no light can reach whatever casts: decided once, outside the algorithms, for all of them alike."""
+"""Attached shadow: surfaces that face away from a light. It is computed once, outside of the algorithms, for all of them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from skugga.terrain.scene import Scene
 
 
 def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarray:
-    """Where a light cannot reach, bool (rows, cols); True off the surface too.
+    """Return where a light cannot reach a surface, bool (rows, cols); True off the surface, too.
 
-    That is where the normal that it goes by does not face it (``facing_normals``; n.l is not over ``GRAZING``; leaves are lit from
-    either side), outside of a spot's cone, and everywhere while the sun is nowhere above the
-    horizon or where there is none.
+    A surface is in attached shadow in these cases:
+
+    - Its normal does not face the light (``facing_normals``): n.l is not above ``GRAZING``. Leaves are lit from either side.
+    - It lies outside of the cone of a spot.
+    - The scene has no sun, or the sun is below the horizon everywhere.
     """
     leaves = buffer.kind == FOREST
     if light == SUN:
@@ -35,7 +37,7 @@ def attached(buffer: GeometryBuffer, scene: Scene, light: str = SUN) -> np.ndarr
 
 
 def turned_away(normal: np.ndarray, leaves: np.ndarray, to_light: np.ndarray) -> np.ndarray:
-    """Where unit normals (rows, cols, 3) do not face a direction (3,): bool (rows, cols); True where a normal is NaN."""
+    """Return where unit normals (rows, cols, 3) do not face a direction (3,), bool (rows, cols); True where a normal is NaN."""
     out = np.empty(leaves.shape, np.bool_)
     in_shares(len(out), _turned_away, normal, leaves, to_light, out)
     return out

@@ -1,4 +1,4 @@
-"""Across how wide a piece of the round earth the sun's rays are taken as straight lines of a map."""
+"""The width of the round earth across which the sun's rays count as straight lines of a map."""
 
 from __future__ import annotations
 
@@ -10,19 +10,23 @@ from skugga.terrain.geo.grid import BLOCK_PX
 from skugga.terrain.level.level import SUN
 
 MAX_STRAIGHT_M = 200e3
-"""Across a wider piece of the round earth the sun's rays bend too much for lines that run side by side. In Web Mercator the lines
-of a sweep follow the rays across 250 km at 84 degrees of latitude and across 1,000 km at 65, in windows of 1,024 nodes a side.
+"""Largest extent of the round earth in metres across which the sun's rays count as parallel lines.
+
+In Web Mercator the lines of a sweep follow the rays across 250 km at 84 degrees of latitude and across 1,000 km at 65, in windows
+of 1,024 nodes a side.
 """
 
 
 def rays_bend(descriptor: Descriptor) -> bool:
-    """Whether what is drawn at once is too wide; not where that is unknown."""
+    """Return whether the area drawn at once is too wide for straight rays; False where its extent is unknown."""
     return (sun_extent_m(descriptor) or 0.0) > MAX_STRAIGHT_M
 
 
 def sun_extent_m(descriptor: Descriptor) -> float | None:
-    """How far across the ground is that the sun's rays cross at once, if that is known: all of the level, but no more than a map's
-    block and the way of its longest shadow. A flat world bends nothing.
+    """Return the extent of the ground, in metres, that the sun's rays cross at once; ``None`` if it is unknown.
+
+    A perspective view crosses the whole level. A map crosses at most one block and the length of its longest shadow. A flat world
+    has extent 0, since it bends no rays.
     """
     if descriptor.sun_altitude_deg is None:
         return None
@@ -36,11 +40,11 @@ def sun_extent_m(descriptor: Descriptor) -> float | None:
 
 
 def _level_extent_m(descriptor: Descriptor) -> float | None:
-    """The side of a square of a level's area, which follows from the share of it that is seen."""
+    """Return the side, in metres, of a square of the level's area, which follows from the share of it that is seen."""
     seen = descriptor.lights.get(SUN)
     if descriptor.sun_altitude_deg is None or descriptor.receivers_light_m is None or seen is None or seen.area_share <= 0.0:
         return None
     right_m, up_m, _ = descriptor.receivers_light_m
     sine = np.sin(np.radians(max(descriptor.sun_altitude_deg, 0.5)))
-    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # wider than can be said is too wide
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # an overflow is infinitely wide
         return float(np.sqrt(right_m * up_m / (seen.area_share * sine)))

@@ -1,7 +1,7 @@
-"""What a map's block needs of casters: ground beside it that may throw a shadow on it, and whether anything at all does.
+"""The casters that a map's block needs: ground beside it that may cast a shadow on it, and whether anything casts at all.
 
-A plan is one for a level, a zoom and a sun. What it lists and a block provably does not need
-(``skugga.terrain.casters.horizon_bound``) is left out for that block, and put on record there; the picture is the same to the bit.
+A plan is shared by a level, a zoom and a sun. A block leaves out the casters and steps that it provably does not need
+(``skugga.terrain.casters.horizon_bound``), and records that. The picture stays the same to the bit.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ NOTHING_CASTS = "no ground throws a shadow in the block"
 
 
 def caster_pass(plan: Plan) -> str:
-    """The pass in which ground beside a part of a map is looked for: one that the plan has."""
+    """Return the pass in which casters beside a part of a map are searched: a pass that the plan has."""
     return CASTERS_PASS if CASTERS_PASS in plan.runs else GEOMETRY_PASS
 
 
 def casters_beside(scene: Scene, plan: Plan, receivers: Receivers, found: Callable[[], Casters], log: PassLog) -> Casters:
-    """The ground beside a part of a map that is ``found`` to be in the sun's way, with what of it is idle."""
+    """Return the ground beside a part of a map that may block the sun, as ``found`` returns it, with its idle patches."""
     name = caster_pass(plan)
     with log.run(name) as record:
         casters = found()
@@ -38,8 +38,10 @@ def casters_beside(scene: Scene, plan: Plan, receivers: Receivers, found: Callab
 
 
 def needed_steps(scene: Scene, steps: Sequence[Step], receivers: Receivers, casters: Casters, log: PassLog) -> list[Step]:
-    """Those of a light's steps that have to be run for a map's block. Left out, and put on record as such, is the ground's shadow
-    under the sun where all ground is clear; but not where intermediate pictures are asked for.
+    """Return the steps of a light that have to run for a map's block.
+
+    The ground's shadow under the sun is left out, and recorded as such, where all ground is provably clear. It is never left out
+    where intermediate pictures are requested.
     """
     idle = [step for step in steps if step.light == SUN and step.kinds == ("relief",) and _goes_without_idle(step)]
     if not idle or log.wanted or casters.casting or not scene.sun_is_up or not own_ground_is_clear(scene, receivers):

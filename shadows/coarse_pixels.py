@@ -1,8 +1,8 @@
-"""Maps whose pixels are larger than the data's cells: a pixel shows the mean visibility of the ground that it covers.
+"""Supersampling of maps whose pixels are larger than the data's cells: a pixel shows the mean visibility of the ground it covers.
 
-So it does not depend on the zoom how much lies in shadow. Which ground that is, ``skugga.terrain.gbuffer.covered_nodes`` says. Its
-nodes are drawn like the pixels of any finer map, by the plan's own steps, and are averaged, attached shadow included; colours,
-heights and normals stay those of the pixel's own point. Bare ground under the sweep goes by its heights alone.
+The share of shadow therefore does not depend on the zoom. ``skugga.terrain.gbuffer.covered_nodes`` gives the nodes that a pixel
+covers. The plan's own steps draw these sub-pixel nodes like the pixels of any finer map. A box filter averages them, with attached
+shadow. Colours, heights and normals remain those of the pixel's own point. Bare ground under the sweep needs its heights alone.
 """
 
 from __future__ import annotations
@@ -39,18 +39,28 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 MOST_BARE_AT_ONCE = 18 * BLOCK_PX**2
-"""Most nodes of bare ground that are seen to at a time, ..."""
+"""Upper bound of the nodes of bare ground in one part: about half a gigabyte."""
 
 MOST_POINTS_AT_ONCE = 5 * BLOCK_PX**2 // 4
-"""... and of which a geometry buffer is made: about a block's. Both take about half a gigabyte."""
+"""Upper bound of the nodes in one part of which a geometry buffer is made: about those of a block, half a gigabyte."""
 
 Visibilities = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
 class CoarsePixels:
-    """The pixels of a map under a plan, which show means over nodes of a finer ``grid``, about ``per_pixel`` of them a side.
-    ``bare``: heights alone say what is seen.
+    """The supersampling of a map's pixels under a plan.
+
+    Attributes
+    ----------
+    scene, plan
+        The scene and the plan.
+    grid
+        The finer grid whose nodes are averaged.
+    per_pixel
+        Approximate number of nodes along a pixel's side.
+    bare
+        Whether the heights of bare ground suffice.
     """
 
     scene: Scene
@@ -60,11 +70,11 @@ class CoarsePixels:
     bare: bool
 
     def nodes(self, view: MapView) -> MapView:
-        """The nodes that some pixels cover."""
+        """Return the nodes that some pixels cover."""
         return covered_nodes(view, self.grid)
 
     def most_at_once(self, nodes: MapView) -> tuple[int, int]:
-        """Most nodes that are seen to at a time, in all and along a side."""
+        """Return the upper bounds of the nodes in one part: in all, and along a side."""
         if not self.bare:
             return MOST_POINTS_AT_ONCE, BLOCK_PX * 8
         along = BLOCK_PX * 8
@@ -74,8 +84,10 @@ class CoarsePixels:
 
 
 def coarse_pixels(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> CoarsePixels | None:
-    """How a map's pixels show means under a plan; ``None`` where they go by their own points: where they are no larger than the
-    data's cells, and where nothing casts a shadow.
+    """Return the supersampling of a map under a plan.
+
+    It is ``None`` where pixels show their own points: in perspective views, where pixels are no larger than the data's cells, and
+    where nothing casts a shadow.
     """
     if not isinstance(view, MapView) or not plan.steps:
         return None
@@ -86,8 +98,9 @@ def coarse_pixels(scene: Scene, view: MapView | PerspectiveView, plan: Plan) -> 
 
 
 def halved_pixels(scene: Scene, view: MapView, plan: Plan) -> CoarsePixels | None:
-    """How the pixels of a map that is not coarse show means over nodes half a pixel apart, their own among them, so that edges are
-    anti-aliased; ``None`` where heights alone do not say what is seen.
+    """Return the supersampling that anti-aliases the edges of a map that is not coarse.
+
+    Its nodes are half a pixel apart and include the pixels' own points. It is ``None`` where the heights alone do not suffice.
     """
     narrow = scene.world.flat or BLOCK_PX * map_pixel_m(scene.world, view) <= WIDE_M
     if not (narrow and plan.steps and heights_say_all(scene, plan)):
@@ -96,20 +109,21 @@ def halved_pixels(scene: Scene, view: MapView, plan: Plan) -> CoarsePixels | Non
 
 
 def heights_say_all(scene: Scene, plan: Plan) -> bool:
-    """Whether a plan's steps go by the heights of bare ground alone."""
+    """Return whether the steps of a plan need the heights of bare ground alone."""
     fills = (ALGORITHMS[step.algorithm].node_fill(step.settings) for step in plan.steps)
     return is_bare(scene) and scene.sun_is_up and all(fills)
 
 
 def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer | BareGround, log: PassLog) -> Visibilities:
-    """Each light's mean visibility (rows, cols) float32 in the pixels of a map's block; 1 where none of the nodes in a pixel shows
-    ground. The layers that are kept are the nodes' means, too; of counts and marks, the largest in a pixel.
+    """Return each light's mean visibility (rows, cols) float32 in the pixels of a map's block.
+
+    It is 1 in pixels whose nodes show no ground. Layers are means over the nodes, too; layers of counts and marks are the maximum.
     """
     view = own.view
     assert isinstance(view, MapView)
     visibilities = {light: np.ones(own.there.shape, np.float32) for light in pixels.plan.lights}
     layers = LayerCollector(own.there.shape)
-    if isinstance(own, GeometryBuffer) and not own.there.any():  # the plan's passes have nothing to do, and do it
+    if isinstance(own, GeometryBuffer) and not own.there.any():  # the plan's passes run without any work
         return visibilities_at(pixels.scene, pixels.plan, own, casters_of(pixels.scene, own), log)
     for window in _parts(pixels, own):
         part, beside = _part(view, window), looks_beside(pixels.plan, own, window)
@@ -119,7 +133,7 @@ def mean_visibilities(pixels: CoarsePixels, own: GeometryBuffer | BareGround, lo
         with log.run(ATTACHED_PASS):
             for light, values in filled.items():
                 if values.dtype == np.bool_ and values.all():
-                    continue  # as all pixels begin
+                    continue  # the pixels are initialised with 1
                 means = means_in_pixels(part, nodes, values, there)
                 visibilities[light][window] = np.where(np.isnan(means), np.float32(1.0), means)
         kept = {
@@ -137,7 +151,7 @@ def _part(view: MapView, window: PixelWindow) -> MapView:
 
 
 def _parts(pixels: CoarsePixels, own: GeometryBuffer | BareGround) -> Iterator[PixelWindow]:
-    """The pixels of a block that show a surface, in rectangles whose nodes are seen to at a time."""
+    """Yield the pixels of a block that show a surface, in rectangles whose nodes are processed at a time."""
     view = own.view
     assert isinstance(view, MapView)
     rows, cols = np.flatnonzero(own.there.any(axis=1)), np.flatnonzero(own.there.any(axis=0))
@@ -160,14 +174,16 @@ def _parts(pixels: CoarsePixels, own: GeometryBuffer | BareGround) -> Iterator[P
 
 
 def looks_beside(plan: Plan, own: GeometryBuffer | BareGround, window: PixelWindow) -> bool:
-    """Whether ground beside a part of a map's block is looked for. Without the effect ``outside_casters`` only where the block
-    shows more than the part: one part of it casts on another.
+    """Return whether casters beside a part of a map's block are searched.
+
+    The effect ``outside_casters`` always searches them. Without it they are searched only where the block shows more than the part,
+    since parts of one block cast on each other.
     """
     return CASTERS_PASS in plan.runs or bool(own.there[window].sum() < own.there.sum())
 
 
 def lit_nodes(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
-    """Which nodes show ground, and the sun's visibility there."""
+    """Return the valid mask of the nodes and the sun's visibility at them, from heights alone."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
         nodes = bare_nodes(scene, view, pixels.per_pixel)
@@ -185,7 +201,7 @@ def lit_nodes(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -
 
 
 def _of_points(pixels: CoarsePixels, view: MapView, beside: bool, log: PassLog) -> tuple[np.ndarray, Visibilities]:
-    """Which nodes show a surface, and each light's visibility there."""
+    """Return the valid mask of the nodes and each light's visibility at them, from a geometry buffer."""
     scene, plan = pixels.scene, pixels.plan
     with log.run(GEOMETRY_PASS):
         buffer = geometry_of(scene, view)

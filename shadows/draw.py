@@ -1,7 +1,7 @@
-"""``draw``: execute a plan for what a caller needs of a view, in the fastest way that shows it.
+"""``draw``: execute a plan for the arrays that a caller needs of a view, on the fastest path that shows them.
 
-This module alone decides whether the heights of bare ground suffice. Where they do, no geometry buffer is made for each sun. Where
-they do not, ``render_frame`` draws. Both show the same pixels, so tiles, maps, films and rasters agree.
+This module alone decides whether the heights of bare ground suffice. If they do, no geometry buffer is made for each sun. If they
+do not, ``render_frame`` draws. Both paths show the same pixels, so tiles, maps, films and rasters agree.
 """
 
 from __future__ import annotations
@@ -29,7 +29,21 @@ LIT: Needs = frozenset({"visibility", "reach"})
 def draw(
     scene: Scene, view: MapView | PerspectiveView, plan: Plan, needs: Needs, on_block: Callable[[int, int], None] | None = None
 ) -> Picture:
-    """Draw what is needed of a view by a plan; ``on_block(done, total)`` is called after each block.
+    """Draw the needed arrays of a view by a plan.
+
+    Parameters
+    ----------
+    scene, view, plan
+        The scene, the view, and the plan for both.
+    needs
+        The fields of ``Picture`` to draw.
+    on_block
+        Function that is called with the numbers of finished and of all blocks, after each block.
+
+    Returns
+    -------
+    Picture
+        The arrays; those that are not needed are ``None``.
 
     Raises
     ------
@@ -57,7 +71,7 @@ def draw(
 
 
 def heights_suffice(scene: Scene, view: MapView | PerspectiveView, plan: Plan, needs: Needs) -> bool:
-    """Whether what is needed of a view is drawn by loops over heights: then any thread can draw it."""
+    """Return whether loops over heights draw the needed arrays of a view. Any thread can run these; other views need OpenGL."""
     if not isinstance(view, MapView):
         return False
     scene = with_apparent_sun(scene, plan.runs)
@@ -65,7 +79,7 @@ def heights_suffice(scene: Scene, view: MapView | PerspectiveView, plan: Plan, n
 
 
 def picture_of(frame: Frame, needs: Needs) -> Picture:
-    """Return what is needed of a frame."""
+    """Return the needed arrays of a frame."""
     return Picture(
         frame.there,
         frame.passes,
@@ -79,13 +93,13 @@ def picture_of(frame: Frame, needs: Needs) -> Picture:
 
 
 def _draw_block(scene: Scene, block: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture:
-    """Draw a block of a map. Heights may turn out not to suffice: where triangles have to be looked at, and on wide blocks."""
+    """Draw a block of a map. Fall back to ``render_block`` where triangles are needed, and on wide blocks."""
     of_heights = sunlit_picture if needs <= LIT else ground_picture
     return of_heights(scene, block, plan, needs, log) or picture_of(render_block(scene, block, plan, log), needs)
 
 
 def _empty(view: MapView, needs: Needs) -> Picture:
-    """Return the picture of a view before any block of it is drawn."""
+    """Return the picture of a view before any block is drawn."""
     size = view.rows, view.cols
     return Picture(
         np.zeros(size, np.bool_),
@@ -97,7 +111,7 @@ def _empty(view: MapView, needs: Needs) -> Picture:
 
 
 def _with_part(whole: Picture, part: Picture, inside: tuple[slice, slice], of_part: tuple[slice, slice]) -> Picture:
-    """Copy a window of a part into the whole, whose reach is that of its worst part."""
+    """Copy a window of a part into the whole picture, and keep the worse reach of both."""
     for name in ("valid", "color", "opacity", "visibility"):
         into, array = getattr(whole, name), getattr(part, name)
         if into is not None:

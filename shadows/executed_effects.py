@@ -1,4 +1,4 @@
-"""Which effects ran in a frame, told from its record alone: the passes, and the programs that were drawn with."""
+"""The effects that ran in a frame, derived from its record alone: the passes, and the programs they drew with."""
 
 from __future__ import annotations
 
@@ -16,12 +16,17 @@ DISC_PART = "shadows/maps/sun_disc.frag"
 
 
 def executed_effects(passes: Iterable[PassRecord]) -> frozenset[EffectName]:
-    """The effects whose code ran.
+    """Return the effects whose code ran.
 
-    A pass that all parts of the picture went without did not run. An effect with a pass of its own ran if that did. Shadows were
-    cast if an algorithm's pass ran, foliage was tested if one took it on (also where none stood in the light's way) or a program
-    that looks its texture up drew depths, and edges were soft if the sun's maps were looked up by more than one tap, or what is
-    filled is the mean of many points of its disc. Algorithms that draw nothing (``sweep``, ``truth``) leave no trace of that.
+    - A pass that all parts of the picture left out did not run.
+    - An effect with a pass of its own ran if that pass ran.
+    - ``cast_shadows`` ran if a pass of an algorithm ran.
+    - ``alpha_test`` ran if a pass served foliage (also without foliage between receivers and light), or if a program that samples
+      the foliage texture drew depths.
+    - ``soft_edges`` ran if the sun's maps were sampled by more than one tap, or if the visibility is the mean over points of its
+      disc.
+
+    Algorithms that draw nothing (``sweep``, ``truth``) leave no trace of ``soft_edges`` in the record.
     """
     ran: set[EffectName] = set()
     for record in passes:

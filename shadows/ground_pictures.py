@@ -1,11 +1,10 @@
-"""Maps of bare ground as they are shown, without a geometry buffer for each sun: what the map service and films draw most.
+"""Shaded pictures of bare ground in maps, without a geometry buffer for each sun. The map service and films draw mostly these.
 
-Where heights alone say what is seen and how it is shaded, a block's colour and its shadow's opacity need no triangles: shadows are
-swept over nodes (``skugga.shadows.coarse_pixels``, as in any picture), and ground that is kept from sun to sun is shaded in one
-pass (``skugga.terrain.gbuffer.bare_ground``). The pictures are those of ``render_frame``; ``skugga.shadows.draw`` chooses between
-the two.
+Where heights alone determine visibility and shading, a block's colour and the opacity of its shadow need no triangles. Shadows are
+swept over nodes (``skugga.shadows.coarse_pixels``, as in any picture). The ground is cached across suns and shaded in one pass
+(``skugga.terrain.gbuffer.bare_ground``). The pictures equal those of ``render_frame``; ``skugga.shadows.draw`` chooses the path.
 
-Pixels that are no nodes, as those of most pictures, take their ground from a geometry buffer once for all suns.
+Pixels that are no nodes, as in most pictures, take their ground from one geometry buffer for all suns.
 """
 
 from __future__ import annotations
@@ -34,22 +33,25 @@ from skugga.terrain.shading import open_sky, shaded_ground
 SKY_PASS = "sky_view"
 
 DRAWN_HERE = frozenset({"cast_shadows", CASTERS_PASS, SKY_PASS, REFRACTION_PASS})
-"""Effects that may run in such a map."""
+"""Effects that this path supports."""
 
 
 LEAST_SUNWARD = 0.05
-"""Least cosine between a smooth normal and the sun's direction from which on no triangle round it is taken to be turned away."""
+"""Lower bound of the cosine between a smooth normal and the sun's direction.
+
+Above it no adjacent triangle is assumed to face away.
+"""
 
 
 def is_shaded_by_heights(scene: Scene, plan: Plan) -> bool:
-    """Whether heights alone say what a map shows, and the sun and the sky how it is shaded."""
+    """Return whether heights, sun and sky alone determine what a map shows."""
     level = scene.loaded.level
     plain = is_bare(scene) and level.water is None and imagery_of(scene) is None and scene.sun is not None
     return plain and plan.runs <= DRAWN_HERE and (heights_say_all(scene, plan) or not plan.casts or not scene.sun_is_up)
 
 
 def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture | None:
-    """Execute a plan for a block; ``None`` where its triangles have to be looked at. Raises as ``render_frame``."""
+    """Draw a block by a plan, or return ``None`` where its triangles are needed. Raises as ``render_frame``."""
     with log.run(GEOMETRY_PASS):
         sky = sky_view(scene.elevation, scene.world) if SKY_PASS in plan.runs else None
         ground = bare_ground(scene, view, sky) if view.on_nodes else _ground_between_nodes(scene, view, sky)
@@ -64,7 +66,7 @@ def ground_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
         return None
     if SKY_PASS in plan.runs:
         with log.run(SKY_PASS):
-            pass  # the ground has its share of the sky
+            pass  # the ground already includes its sky view
     with log.run(SHADING_PASS):
         color = shaded_ground(ground, scene, lit) if "color" in needs else None
         opacity = np.rint(255.0 * (1.0 - np.where(ground.there, lit, np.float32(1.0)))).astype(np.uint8)
@@ -77,7 +79,10 @@ def _made_from(scene: Scene, view: MapView, sky: SkyView | None) -> tuple[object
 
 @cached("scene", 448 * MIB, key=_made_from)
 def _ground_between_nodes(scene: Scene, view: MapView, sky: SkyView | None) -> BareGround:
-    """The bare ground in the pixels of a map that are no nodes; its share of the sky with what ground hides of it, or without."""
+    """Return the bare ground at pixels of a map that are no nodes.
+
+    Its sky view accounts for the ground's own horizon if ``sky`` is given.
+    """
     buffer = geometry_of(scene, view)
     share = open_sky(buffer, scene)
     if sky is not None:
@@ -91,7 +96,7 @@ def _ground_between_nodes(scene: Scene, view: MapView, sky: SkyView | None) -> B
 
 
 def _nodes_under(view: MapView) -> MapView:
-    """The nodes of a map's grid that its pixels lie between."""
+    """Return the nodes of a map's grid between which its pixels lie."""
     if view.on_nodes:
         return view
     ends = []
@@ -103,14 +108,14 @@ def _nodes_under(view: MapView) -> MapView:
 
 
 def _faces_sun(ground: BareGround, scene: Scene) -> bool:
-    """Whether all ground faces the sun, so surely that its triangles do, too: then none of it is in attached shadow."""
+    """Return whether all ground faces the sun by a margin that holds for its triangles: then none is in attached shadow."""
     assert scene.sun is not None
     facing = ground.normal_frame @ scene.sun.in_frame(ground.frame).astype(np.float32)
     return float(facing[ground.there[ground.window]].min(initial=1.0)) > LEAST_SUNWARD
 
 
 def _lit_shares(scene: Scene, ground: BareGround, plan: Plan, log: PassLog) -> np.ndarray | None:
-    """The share (rows, cols) float32 of each pixel that the sun lights; ``None`` where heights do not say."""
+    """Return the lit share (rows, cols) float32 of each pixel; ``None`` where heights do not suffice."""
     if not scene.sun_is_up:
         with log.run(ATTACHED_PASS):
             return np.zeros(ground.there.shape, np.float32)

@@ -1,4 +1,4 @@
-"""Intermediate pictures of a frame, put together from what the passes of its blocks left behind."""
+"""Intermediate pictures of a frame, assembled from the layers that the passes of its blocks kept."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from skugga.terrain.errors import InputError
 from skugga.terrain.geo.grid import PixelWindow
 
 MAX_TEXELS = 64_000_000
-"""Most texels of a layer that has a size of its own."""
+"""Upper bound of the texels of a layer with a size of its own."""
 
 
 class LayerCollector:
-    """Pictures by layer and light: those of pixels at their blocks' places in a frame of ``size`` (rows, cols), others beside
-    one another.
+    """Intermediate pictures by layer and light.
+
+    Layers of pixels are placed at their blocks' windows in a frame of ``size`` (rows, cols). Pictures of other layers are tiled.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
@@ -25,7 +26,7 @@ class LayerCollector:
     def add(
         self, kept: dict[tuple[PassLayer, str], list[np.ndarray]], frame_window: PixelWindow, block_window: PixelWindow
     ) -> None:
-        """Put in what a block's passes kept; its pixels ``block_window`` are the frame's ``frame_window``.
+        """Add the layers of a block, whose pixels ``block_window`` are the frame's pixels ``frame_window``.
 
         Raises ``InputError`` for too many texels.
         """
@@ -40,16 +41,17 @@ class LayerCollector:
                 others = self._others.setdefault((layer, light), [])
                 others += pictures
                 if sum(picture.size for picture in others) > MAX_TEXELS:
-                    raise InputError("layer", layer, f"at most {MAX_TEXELS} texels: a smaller view, or smaller maps")
+                    amount = f"{layer} has {sum(picture.size for picture in others)} texels"
+                    raise InputError.over_limit("layer", amount, str(MAX_TEXELS), "Use a smaller view or smaller maps")
 
     @property
     def pictures(self) -> dict[tuple[PassLayer, str], list[np.ndarray]]:
-        """The pictures by layer and light, as they can be added to another collector."""
+        """The pictures by layer and light, in the form that ``add`` of another collector takes."""
         return {**self._of_pixels, **self._others}
 
     @property
     def whole(self) -> dict[PassLayer, dict[str, np.ndarray]]:
-        """Layer -> light -> picture."""
+        """The assembled picture of each layer and light."""
         out: dict[PassLayer, dict[str, np.ndarray]] = {}
         for (layer, light), pictures in (*self._of_pixels.items(), *self._others.items()):
             out.setdefault(layer, {})[light] = tiled_pictures(pictures)
@@ -57,7 +59,7 @@ class LayerCollector:
 
 
 def tiled_pictures(pictures: list[np.ndarray]) -> np.ndarray:
-    """Pictures (rows, cols) of one type row by row in a grid that is about as wide as high, NaN (or 0) between them."""
+    """Return pictures (rows, cols) of one dtype tiled row by row, in a grid about as wide as high, with NaN (or 0) between them."""
     rows, cols = (max(picture.shape[axis] for picture in pictures) for axis in (0, 1))
     across = int(np.ceil(np.sqrt(len(pictures))))
     out = _empty((-(-len(pictures) // across) * rows, across * cols), pictures[0].dtype)

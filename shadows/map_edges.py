@@ -1,12 +1,12 @@
-"""Anti-aliased edges in maps: a pixel through which an edge runs shows a mean of what it covers.
+"""Anti-aliased edges in maps: a pixel that an edge crosses shows the mean over its samples.
 
-Masks, and all that accuracy is measured by, keep to the pixels' own points. Where heights alone say what is seen, all pixels show
-means over nodes half a pixel apart, as those of coarse maps do (``skugga.shadows.coarse_pixels``). Elsewhere only pixels through
-which edges run get more points: those of a finer view, cut from the same ground, which the plan's own steps fill, and which are
-shaded one by one. Where nothing ends after all a pixel keeps its own.
+Masks and measures of accuracy keep to the pixels' own points. Where heights alone suffice, all pixels show means over nodes half a
+pixel apart, as in coarse maps (``skugga.shadows.coarse_pixels``). Elsewhere only pixels that an edge crosses get more samples. The
+samples are the points of a finer view of the same ground. The plan's own steps fill them, and they are shaded one by one. A pixel
+whose samples all agree with its own point keeps that point.
 
-Edges run where a light's visibility, or what kind of thing is seen, changes from a pixel to one beside it. That is told within a
-block, whatever lies beside it: the pixels along its sides all get more points.
+An edge crosses a pixel where a light's visibility, or the kind of surface, changes from the pixel to a neighbour. The test ends at
+the block's border, so all pixels along its sides get more samples.
 """
 
 from __future__ import annotations
@@ -37,22 +37,24 @@ from skugga.terrain.scene import Scene
 Arrays = dict[str, np.ndarray]
 
 EDGE = 0.5
-"""Change of a light's visibility from a pixel to one beside it above which an edge runs there: a penumbra changes by less."""
+"""Threshold of the change of a light's visibility between neighbouring pixels that marks an edge. A penumbra changes by less."""
 
 PART_PX = BLOCK_PX // SIDE
-"""Pixels along the side of a part whose finer view is made at a time: as many points as a block's."""
+"""Side in pixels of a part whose finer view is made at a time: as many points as in a block."""
 
 EACH = SIDE * SIDE
 
 SHADED_BY = ("there", "position_frame_m", "height_m", "shading_normal_frame", "kind", "albedo")
-"""What shading takes of a geometry buffer."""
+"""Arrays of a geometry buffer that shading reads."""
 
 
 def anti_aliased(
     scene: Scene, plan: Plan, own: GeometryBuffer, visibilities: Arrays, log: PassLog
 ) -> tuple[MultisampledBuffer, Arrays]:
-    """A map's block with samples below its own rows, if any, as far as shading takes them, and each light's visibility as it is
-    shown. ``visibilities`` are those at the pixels' own points.
+    """Return a map's block with its samples, and each light's visibility as it is shown.
+
+    Samples lie below the block's own rows, and have only the arrays that shading reads. ``visibilities`` are those at the pixels'
+    own points.
     """
     view = own.view
     assert isinstance(view, MapView)
@@ -84,7 +86,7 @@ def _edge_sampled(
         return MultisampledBuffer(own, view.rows), visibilities
     row, col = np.concatenate(pixels).T
     arrays = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
-    missing = ~arrays["there"]  # beside the ground's rim: there the pixel's own point counts again
+    missing = ~arrays["there"]  # beyond the ground's rim the pixel's own point replaces the sample
     differ = arrays["kind"] != own.kind[row, col][:, None]
     for light, visibility in visibilities.items():
         differ |= arrays[light] != visibility[row, col][:, None]
@@ -102,7 +104,10 @@ def _edge_sampled(
 
 
 def _is_evenly_lit(scene: Scene, plan: Plan, own: GeometryBuffer, visibilities: Arrays) -> bool:
-    """Whether no edge can run through a block or along its sides: nothing stands or casts there, and all ground faces the sun."""
+    """Return whether no edge can cross a block or its sides.
+
+    That is where the block has bare ground, nothing casts, and all ground faces the sun.
+    """
     if plan.casts or not is_bare(scene) or not scene.sun_is_up:
         return False
     return bool((visibilities[SUN][own.there] == 1.0).all()) and own_ground_faces_sun(scene, own)
@@ -113,7 +118,10 @@ def _casters(scene: Scene, finer: GeometryBuffer, beside: bool) -> Casters:
 
 
 def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.ndarray:
-    """Which pixels (rows, cols) of a map's block an edge runs through, both of those beside it; and all along the block's sides."""
+    """Return the pixels (rows, cols) of a map's block at an edge, bool: those on both sides of it.
+
+    All pixels along the block's sides belong to them.
+    """
     edges = np.zeros(buffer.there.shape, np.bool_)
     _mark_changes(buffer.kind, 0.0, edges)
     for visibility in visibilities:
@@ -125,7 +133,7 @@ def edge_pixels(buffer: GeometryBuffer, visibilities: list[np.ndarray]) -> np.nd
 
 
 def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
-    """Parts of a block in which edges run."""
+    """Yield the parts of a block that contain edge pixels."""
     for top in range(0, edges.shape[0], PART_PX):
         for left in range(0, edges.shape[1], PART_PX):
             down = slice(top, min(top + PART_PX, edges.shape[0]))
@@ -135,15 +143,16 @@ def _parts(edges: np.ndarray) -> Iterator[tuple[slice, slice]]:
 
 
 def _finer(scene: Scene, own: GeometryBuffer, part: MapView, edges: np.ndarray, log: PassLog) -> GeometryBuffer:
-    """The samples of some of a part's pixels."""
+    """Return the samples of the ``edges`` pixels of a part."""
     with log.run(GEOMETRY_PASS):
         wanted = np.repeat(np.repeat(edges, SIDE, axis=0), SIDE, axis=1)
         return geometry_of(scene, part.finer(SIDE), own.frame, wanted=wanted)
 
 
 def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) -> Arrays:
-    """What shading takes of the samples of some of a part's pixels, each array (pixels, ``EACH``, ...), and each light's
-    visibility.
+    """Return the arrays for shading and each light's visibility at the samples of some pixels of a part.
+
+    Each array is (pixels, ``EACH``, ...).
     """
     arrays = {name: value for name in SHADED_BY if (value := getattr(buffer, name)) is not None}
     arrays.update(visibilities)
@@ -153,7 +162,7 @@ def _samples(buffer: GeometryBuffer, visibilities: Arrays, edges: np.ndarray) ->
 
 
 def _below(own: np.ndarray, samples: np.ndarray, missing: np.ndarray, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """A buffer's array with those of samples (n, ``EACH``, ...) in rows below it; where they are missing, the pixel's own."""
+    """Return a buffer's array with samples (n, ``EACH``, ...) in rows below it. Missing samples take the pixel's own value."""
     of_pixels = own[row, col][:, None]
     gone = missing.reshape(missing.shape + (1,) * (samples.ndim - 2))
     flat = np.where(gone, of_pixels, samples).reshape(-1, *own.shape[2:])
@@ -164,7 +173,7 @@ def _below(own: np.ndarray, samples: np.ndarray, missing: np.ndarray, row: np.nd
 
 @compiled
 def _mark_changes(values, most, edges):
-    """Mark the pixels (rows, cols) whose values differ by more than ``most`` from one of the eight beside them."""
+    """Mark the pixels (rows, cols) whose values differ by more than ``most`` from one of their eight neighbours."""
     rows, cols = values.shape
     for i in range(rows):
         for j in range(cols):

@@ -1,4 +1,4 @@
-"""`none`: no cast shadows. What is turned away from a light is dark all the same (``skugga.shadows.attached``)."""
+"""`none`: no cast shadows. Surfaces that face away from a light stay dark (``skugga.shadows.attached``)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""The record of what really ran, and the intermediate pictures that were asked for: both written by the passes themselves
-while they run, never copied from a plan.
+"""The record of the executed passes and the requested intermediate pictures.
+
+The passes write both while they run. Neither is copied from a plan.
 """
 
 from __future__ import annotations
@@ -19,24 +20,55 @@ CASTERS_PASS = "outside_casters"
 ATTACHED_PASS = "attached"
 
 PassLayer = Literal["shadow-map", "stencil", "silhouettes", "volumes", "shadow-height"]
-"""Intermediate pictures: depth maps as drawn (float32 depths from 0, nearest the light, to 1), the stencil (uint8), silhouette
-edges (uint8, 255 where one is seen; of a hybrid, the pixels that it leaves to its volumes), shadow volumes (uint8, how many of
-their faces lie before the point), the height in metres above which the sun is seen (float32)."""
+"""Intermediate pictures:
+
+- ``shadow-map``: depth maps as drawn, float32 from 0 (nearest to the light) to 1.
+- ``stencil``: the stencil, uint8.
+- ``silhouettes``: silhouette edges, uint8, 255 where one is visible; of a hybrid, the pixels that its volumes decide.
+- ``volumes``: the number of faces of shadow volumes in front of the point, uint8.
+- ``shadow-height``: the height in metres above which the sun is visible, float32.
+"""
 
 OF_PIXELS: frozenset[PassLayer] = frozenset({"stencil", "silhouettes", "volumes", "shadow-height"})
-"""Those that hold a value for each pixel of the picture; the others are of a size of their own."""
+"""Layers with one value for each pixel of the picture. The others have a size of their own."""
 
 
 @dataclass
 class PassRecord:
-    """One executed pass: its name, wall-clock milliseconds, draw calls, triangles, texels of shadow maps, the bytes of textures
-    and buffers it held at a time, how many maps or volumes it found as they were made before, silhouette edges, marked pixels
-    and tiles that hold one, of how many points of the light it is the mean, and what else there is to say of it; labels of the
-    programs that it drew with, in the order of their first use, and the textures that these can read, by the alphabet
-    (``skugga.terrain.gl.programs``); labels of what it did by loops on the processor instead.
+    """The record of one executed pass.
 
-    ``parts`` are the blocks, or parts of them, that the plan had it for, ``left_out`` those of them that provably need none of its
-    work, and went without it; the ``note`` says why.
+    Attributes
+    ----------
+    name
+        The name of the pass.
+    ms
+        Wall-clock time, milliseconds.
+    draws, triangles
+        Draw calls and triangles.
+    map_texels
+        Texels of shadow maps.
+    bytes
+        Largest size of textures and buffers held at a time, bytes.
+    kept
+        Maps or volumes taken from a cache.
+    edges
+        Silhouette edges.
+    marked, tiles
+        Marked pixels, and tiles with a marked pixel.
+    light_points
+        Points of the light over which the result is averaged.
+    note
+        A remark, such as the reason for ``left_out``.
+    parts
+        Blocks, or parts of them, for which the plan has the pass.
+    left_out
+        Those of ``parts`` that provably need none of its work, and left it out.
+    programs
+        Labels of the programs that drew, in the order of their first use.
+    textures
+        Names of the textures that these can read, sorted (``skugga.terrain.gl.programs``).
+    loops
+        Labels of the loops on the processor that did such work instead.
     """
 
     name: str
@@ -58,20 +90,27 @@ class PassRecord:
     loops: tuple[str, ...] = ()
 
     def looked_up_by(self, loop: str, taps: int) -> None:
-        """Put it on record that a loop on the processor looked points up by so many taps a side."""
+        """Record that a loop on the processor sampled a map at points by ``taps`` taps along a side."""
         self.loops = tuple(dict.fromkeys([*self.loops, f"{loop} taps={taps}"]))
 
     @property
     def did_nothing(self) -> bool:
-        """Whether all parts of the picture went without it."""
+        """Whether all parts of the picture left out the pass."""
         return 0 < self.parts == self.left_out
 
 
 @dataclass
 class PassLog:
-    """The passes of a frame in the order of their first run; blocks of one frame add up.
+    """The passes of a frame in the order of their first run. The blocks of one frame add up.
 
-    ``wanted`` are the layers that passes shall leave behind, ``layers`` what they left, by layer and light, in order.
+    Attributes
+    ----------
+    records
+        The records by name.
+    wanted
+        The layers that passes shall keep.
+    layers
+        The layers that passes kept, by layer and light, in order.
     """
 
     records: dict[str, PassRecord] = field(default_factory=dict)
@@ -80,7 +119,7 @@ class PassLog:
 
     @contextmanager
     def run(self, name: str) -> Iterator[PassRecord]:
-        """Time a pass and put it on record with all that is drawn in it."""
+        """Time a pass and record it, with all that is drawn in it."""
         record = self.records.setdefault(name, PassRecord(name))
         record.parts += 1
         start = time.perf_counter()
@@ -95,31 +134,31 @@ class PassLog:
                 record.textures = tuple(sorted({*record.textures, *(name for program in drawn_with for name in program.textures)}))
 
     def leave_out(self, names: Iterable[str], why: str) -> None:
-        """Put it on record that a part of the picture goes without passes of the plan."""
+        """Record that a part of the picture leaves out some passes of the plan, and the reason."""
         for name in names:
             record = self.records.setdefault(name, PassRecord(name))
             record.parts, record.left_out, record.note = record.parts + 1, record.left_out + 1, why
 
     def keep(self, layer: PassLayer, light: str, make: Callable[..., np.ndarray], *args: object) -> None:
-        """Keep the picture ``made(*of)``, which is made only if it is wanted.
+        """Keep the picture ``make(*args)`` of a layer and a light. ``make`` is called only if the layer is wanted.
 
-        One of ``OF_PIXELS`` has the rows and columns of the geometry buffer (rows of samples below its own do not count); of
-        any other, row 0 is the upper one.
+        A layer of ``OF_PIXELS`` has the rows and columns of the geometry buffer, without the rows of samples below them. In any
+        other layer, row 0 is the upper row.
         """
         if layer in self.wanted:
             self.layers.setdefault((layer, light), []).append(make(*args))
 
     def take(self) -> dict[tuple[PassLayer, str], list[np.ndarray]]:
-        """What was kept since the last call."""
+        """Return the layers kept since the last call, and clear them."""
         layers, self.layers = self.layers, {}
         return layers
 
     @property
     def names(self) -> list[str]:
-        """Names of the passes that ran, in order."""
+        """The names of the passes that ran, in order."""
         return list(self.records)
 
     @staticmethod
     def named(light: str, kinds: tuple[str, ...], passes: tuple[str, ...]) -> list[str]:
-        """The names of an algorithm's passes for a light and the kinds of casters it takes on together."""
+        """Return the names of an algorithm's passes for a light and the kinds of casters that it serves together."""
         return [f"{light}/{'+'.join(kinds)}: {name}" for name in passes]

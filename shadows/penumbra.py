@@ -1,7 +1,7 @@
-"""How wide the penumbra of a lamp's ball is in a picture, and how many points of the ball show it.
+"""The penumbra's width of a lamp's ball in a picture, and the number of points of the ball that show it.
 
-A ball of radius R casts a penumbra of width 2 R t / (d - t) at a distance d from the lamp, behind a caster that is t before the
-receiver. The facts of a view say d and the median t, by kind of caster.
+A ball of radius R casts a penumbra of width 2 R t / (d - t) at a distance d from the lamp, from a caster at the distance t in front
+of the receiver. The facts of a view contain d and the median of t, by kind of caster.
 """
 
 from __future__ import annotations
@@ -11,19 +11,20 @@ from skugga.terrain.facts.fact_types import LampFacts
 from skugga.terrain.level.level import SUN
 
 MAX_POINTS, MIN_POINTS = 32, 4
-"""Points of a light that algorithms of hard edges are averaged over: a penumbra has as many steps."""
+"""Numbers of points of a light over which algorithms with hard edges are averaged. A penumbra has as many steps."""
 
 POINTS_PER_PX = 4.0
-"""Steps of a penumbra for each pixel of its width: a step is then at most a quarter of what a pixel's own edge is."""
+"""Steps of a penumbra per pixel of its width. A step is then at most a quarter of the step at a pixel's own edge."""
 
 NEAREST_CASTER = 0.8
-"""Where a caster is taken to be on the way from a receiver to the lamp where that is not known, and no nearer to the lamp where it
-is: half of all casters are nearer than the median.
+"""Upper bound of a caster's position, as a share of the way from a receiver to the lamp. It is used where the position is unknown.
+
+Known positions are twice the median, since half of all casters are nearer to the lamp than the median.
 """
 
 
 def penumbra_px(descriptor: Descriptor, light: str) -> float | None:
-    """How many pixels the penumbrae of a lamp are wide, about the widest of them; ``None`` where it is not known."""
+    """Return the approximate largest width of a lamp's penumbrae in pixels; ``None`` if it is unknown."""
     lamp = next((lamp for lamp in descriptor.lamps if lamp.name == light), None)
     if lamp is None:
         return None
@@ -40,7 +41,7 @@ def penumbra_px(descriptor: Descriptor, light: str) -> float | None:
 
 
 def light_points(descriptor: Descriptor, light: str) -> int:
-    """How many points of a light show its penumbrae: 1 where those of a lamp are narrower than a pixel."""
+    """Return the number of points of a light that show its penumbrae; 1 where a lamp's are narrower than a pixel."""
     if light == SUN:
         return MAX_POINTS
     width_px = penumbra_px(descriptor, light)

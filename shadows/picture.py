@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from skugga.terrain.geo.grid import PixelWindow
 
 Need = Literal["color", "opacity", "visibility", "reach", "frame"]
-"""What a caller may need: a field of ``Picture``. ``frame`` stands for everything that a geometry buffer gives."""
+"""A field of ``Picture`` that a caller may need. ``frame`` stands for all arrays that a geometry buffer gives."""
 
 Needs = frozenset[Need]
 
@@ -26,7 +26,7 @@ class Picture:
     Attributes
     ----------
     valid
-        bool (rows, cols): where the view shows a surface.
+        bool (rows, cols): valid mask, where the view shows a surface.
     passes
         The passes that ran, in the order of their first run.
     color
@@ -37,7 +37,7 @@ class Picture:
         float32 (rows, cols) in [0, 1]: the first light's visibility at the pixels' own points, NaN off the surface; ``None`` unless
         needed.
     reach
-        How far casters were looked for; ``None`` unless needed.
+        The distance to which casters were searched; ``None`` unless needed.
     frame
         The whole frame; ``None`` unless needed.
     shows_sky
@@ -55,11 +55,11 @@ class Picture:
 
     @property
     def opaque(self) -> np.ndarray:
-        """bool (rows, cols): where the colour means something: the surface, and in a perspective view the sky."""
+        """bool (rows, cols): where the colour is valid: on the surface, and in the sky of a perspective view."""
         return np.ones(self.valid.shape, np.bool_) if self.shows_sky else self.valid
 
     def part(self, window: PixelWindow) -> Picture:
-        """Return a part of the picture, without a frame."""
+        """Return a window of the picture, without a frame."""
         color, opacity, visibility = (
             None if each is None else each[window] for each in (self.color, self.opacity, self.visibility)
         )  # fmt: skip

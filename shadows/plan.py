@@ -1,4 +1,4 @@
-"""Plans: recipes that can be executed, keyed by light, then caster kind; each choice with its reason."""
+"""Plans: executable recipes, keyed by light, then by kind of casters. Each choice has its reason."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ class _Value(BaseModel):
 
 
 def settings_type(*names: AlgorithmName) -> Any:
-    """The type of settings of any of some algorithms, as pydantic takes types; ``AlgorithmSettings`` where none has any."""
+    """Return the union of the settings types of some algorithms, for pydantic; ``AlgorithmSettings`` if none has any."""
     types = [each for name in names for each in ALGORITHMS[name].settings]
     return reduce(or_, types) if types else AlgorithmSettings
 
 
 class _OfAlgorithms:
-    """Shows in JSON schemas what settings there are."""
+    """Annotation that adds the settings types of all algorithms to JSON schemas."""
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Any:
         return handler(TypeAdapter(settings_type(*ALGORITHMS)).core_schema)
 
 
 class Target(_Value):
-    """What was asked, and whether the plan is expected to meet it (``None``: not known)."""
+    """The requested limits, and whether the plan is expected to meet them (``None``: not known)."""
 
     max_error: float
     max_ms: float | None = None
@@ -43,8 +43,10 @@ class Target(_Value):
 
 
 class Predicted(_Value):
-    """Expected (under ``measure``: measured; under ``probe``: corrected by what was drawn) milliseconds of a block's shadow work,
-    the share of all pixels that is wrong, and the share of the cast shadow, which a target counts.
+    """Predicted milliseconds of a block's shadow work, the wrong share of all pixels, and the wrong share of the cast shadow.
+
+    The policy ``measure`` reports measured values, and ``probe`` corrects predictions by test renders. A target limits the share of
+    the cast shadow.
     """
 
     ms: float
@@ -54,7 +56,7 @@ class Predicted(_Value):
 
 @dataclass(frozen=True)
 class Step:
-    """One call of an algorithm: for a light, for some kinds of casters together."""
+    """One call of an algorithm: for a light, and for some kinds of casters together."""
 
     light: str
     kinds: tuple[CasterKind, ...]
@@ -63,7 +65,7 @@ class Step:
 
 
 class Plan(_Value):
-    """What will be done for a view, and why."""
+    """The recipe for the shadows of a view, with the reasons."""
 
     view: str
     policy: Literal["rules", "predict", "probe", "measure"]
@@ -80,7 +82,7 @@ class Plan(_Value):
     @field_validator("settings", mode="before")
     @classmethod
     def _of_their_algorithms(cls, value: Any, info: ValidationInfo) -> Any:
-        """Settings that are read from text are those of the plan's algorithms."""
+        """Parse settings from text as the settings types of the plan's algorithms."""
         algorithm = info.data.get("algorithm", {})
         return {
             light: {
@@ -97,21 +99,21 @@ class Plan(_Value):
 
     @property
     def lights(self) -> tuple[str, ...]:
-        """The lights whose visibility is filled, in order; a level without any has the sun's, which is nowhere."""
+        """The lights whose visibility is filled, in order. A level without lights has the sun, which never shines."""
         return tuple(self.algorithm) or (SUN,)
 
     @property
     def steps(self) -> list[Step]:
-        """What is to be filled, in order."""
+        """The steps that fill visibility, in order."""
         return plan_steps(self.algorithm, self.settings)
 
     @property
     def casts(self) -> bool:
-        """Whether anything fills a light's visibility: else nothing casts, and no ground beside the picture is looked for."""
+        """Whether anything fills a light's visibility. If not, nothing casts, and no ground beside the picture is searched."""
         return any(step.algorithm != NO_SHADOWS for step in self.steps)
 
     def steps_under(self, light: str) -> list[Step]:
-        """What is to be filled for a light, in order; ``none`` fills nothing."""
+        """Return the steps that fill a light's visibility, in order. ``none`` is no such step."""
         return [step for step in self.steps if step.light == light and step.algorithm != NO_SHADOWS]
 
     @property
@@ -132,7 +134,10 @@ class Plan(_Value):
 def plan_steps(
     algorithm: Mapping[str, Mapping[CasterKind, AlgorithmName]], settings: Mapping[str, Mapping[CasterKind, AlgorithmSettings]]
 ) -> list[Step]:
-    """The steps of algorithms and settings by light and kind of casters: kinds of one light that share both go together."""
+    """Return the steps for algorithms and settings by light and kind of casters.
+
+    Kinds of one light that share both form one step.
+    """
     steps: list[Step] = []
     for light, per_kind in algorithm.items():
         for kind, name in per_kind.items():

@@ -1,22 +1,23 @@
-"""`planar`: the casters projected from a light onto a level ground, and drawn there once per pixel through the stencil.
+"""`planar`: casters projected from a light onto level ground, drawn there once per pixel through the stencil.
 
-**Projection.** With h a point's height above the plane, L the light in homogeneous coordinates (a direction for the sun, a
-place for a lamp) and H its height, the point p = (x, y, z, 1) falls on
+**Projection.** Let h be a point's height above the plane, L the light in homogeneous coordinates (a direction for the sun, a
+position for a lamp) and H the light's height. The point p = (x, y, z, 1) falls on
 
     p' = H p - h L
 
-(J. Blinn, Me and My (Fake) Shadow, IEEE Computer Graphics and Applications 8(1), 1988). p' is linear in p, so that triangles
-stay triangles and alpha-tested texture stays where it was. What lies below the plane (h < 0) would fall in the wrong place, and
-what lies in it (the floor of a house, say) on itself: a clip distance cuts both off, a float32 error above the plane. What
-stands above a lamp gets w < 0: in a map that is outside of the clip volume, in a camera either that or above the horizon, where
-no ground is. Coordinates count from the point of the plane below the eye, or in the middle of a map, so that float32 is fine
-enough.
+(J. Blinn, Me and My (Fake) Shadow, IEEE Computer Graphics and Applications 8(1), 1988). p' is linear in p. Triangles therefore
+remain triangles, and alpha-tested texture keeps its place.
 
-**Stencil.** The ground's pixels become 1, everything else is 0. A projected caster makes a 1 a 2, in the very pixels of the
-view: the shadow ends where the ground does, and a pixel that is covered twice is as dark as one that is covered once.
+Points below the plane (h < 0) would fall in the wrong place. Points in the plane (the floor of a house, say) would fall on
+themselves. A clip distance cuts both off, a float32 error above the plane. Points above a lamp get w < 0. In a map they lie outside
+of the clip volume. In a camera they lie outside of it or above the horizon, where no ground is. The origin of coordinates is the
+point of the plane below the eye, or in the middle of a map; float32 is precise enough there.
 
-The ground alone receives: points on meshes and trees keep visibility 1 here, and only what is turned away from the light is
-dark there. Level ground itself shades nothing.
+**Stencil.** Ground pixels become 1, all others are 0. A projected caster turns a 1 into a 2, in the pixels of the view itself. The
+shadow thus ends at the ground's rim, and a pixel that is covered twice is as dark as one that is covered once.
+
+The ground alone receives. Points on meshes and trees keep visibility 1 here; only attached shadow darkens them. Level ground itself
+casts no shadow.
 
 **Samples** of a perspective view's pixels (``skugga.terrain.gbuffer.antialias``) are pixels of a finer view of the same camera, and
 are drawn as such.
@@ -57,13 +58,23 @@ if TYPE_CHECKING:
 PASSES = ("receivers", "projected casters")
 
 NO_GROUND_VALUE, LIT_VALUE, SHADED_VALUE = 0, 1, 2
-"""What the stencil holds."""
+"""Values of the stencil."""
 
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """What is to be projected: the light (4,) homogeneous, vertices and triangles of meshes, trees. Coordinates are metres
-    along the axes of a frame, from a point of the plane: ``origin_frame_m``.
+    """The casters and the light of a projection. Coordinates are metres along the axes of a frame, from ``origin_frame_m``.
+
+    Attributes
+    ----------
+    origin_frame_m
+        A point of the plane (3,), in the frame.
+    light_m
+        The light (4,), homogeneous.
+    meshes
+        Vertices (n, 3) and triangles (m, 3) of each mesh.
+    trees
+        The casting trees, in the frame; ``None`` without any.
     """
 
     origin_frame_m: np.ndarray
@@ -73,7 +84,7 @@ class Projected:
 
     @property
     def reaches_ground(self) -> bool:
-        """Whether there is anything that a light above the ground could throw there."""
+        """Whether a light above the ground and at least one caster exist."""
         return bool(self.light_m[2] > 0.0 and (self.meshes or (self.trees is not None and len(self.trees))))
 
 
@@ -86,7 +97,7 @@ def fill(
     settings: None,
     log: PassLog,
 ) -> np.ndarray:
-    """Visibility of a light (rows, cols), float32, 0 or 1, for the points of a buffer whose ground is level.
+    """Return the visibility of a light (rows, cols), float32, 0 or 1, for the points of a buffer whose ground is level.
 
     It is 1 on everything but the ground. Raises ``GraphicsError``.
     """
@@ -108,19 +119,22 @@ def fill(
 
 
 def onto_plane(light_m: np.ndarray) -> np.ndarray:
-    """The projection (4, 4) of homogeneous points onto z = 0, away from a homogeneous light (4,) above it: p' / H of the above."""
+    """Return the projection (4, 4) of homogeneous points onto z = 0, away from a homogeneous light (4,) above it: p' / H."""
     return np.eye(4) - np.outer(light_m / light_m[2], [0.0, 0.0, 1.0, 0.0])
 
 
 def clip_from_plane(world: World, frame: LocalFrame, view: MapView | PerspectiveView, origin_frame_m: np.ndarray) -> np.ndarray:
-    """Clip coordinates (4, 4) of homogeneous points, metres from a point of the plane; a flat world's map is affine."""
+    """Return the matrix (4, 4) to clip coordinates, from homogeneous points in metres from a point of the plane.
+
+    It is affine for the map of a flat world.
+    """
     if isinstance(view, PerspectiveView):
         return camera_clip(view, frame, origin_frame_m, NEAR_M)
     return map_clip(world, frame, view, origin_frame_m, (origin_frame_m[2] - 1.0, origin_frame_m[2] + 1.0))
 
 
 def _projected(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[CasterKind, ...]) -> Projected:
-    """What casts, counted from the point of the plane below the eye or in the middle of a map."""
+    """Return the casters, relative to the point of the plane below the eye, or in the middle of a map."""
     view, frame = buffer.view, buffer.frame
     if isinstance(view, MapView):
         middle, _ = scene.world.ground(view.grid.crs, *view.centre)
@@ -133,7 +147,7 @@ def _projected(buffer: GeometryBuffer, scene: Scene, light: str, kinds: tuple[Ca
         light_m = np.append(scene.sun.in_frame(frame), 0.0)
     else:
         light_m = np.append(scene.lamps[light].in_frame(frame).position_frame_m - origin, 1.0)
-    meshes = caster_meshes(scene, buffer, ("meshes",)) if "meshes" in kinds else []  # level ground shades nothing
+    meshes = caster_meshes(scene, buffer, ("meshes",)) if "meshes" in kinds else []  # level ground casts no shadow
     return Projected(
         origin, light_m, [(vertices - origin, triangles) for vertices, triangles in meshes], caster_trees(buffer, kinds)
     )
@@ -148,7 +162,7 @@ def _stencil(
     passes: list[str],
     log: PassLog,
 ) -> np.ndarray:
-    """The stencil (rows, cols) uint8 of a view that shows the ground at ``receivers``."""
+    """Return the stencil (rows, cols) uint8 of a view that shows the ground at ``receivers``."""
     if not (receivers.any() and projected.reaches_ground):
         for name in passes:
             with log.run(name):
@@ -204,7 +218,7 @@ def _work(task: Workload, settings: None) -> Work:
 
 
 def _wrong_share(casting: Casting) -> float:
-    """What lies in shadow on bodies, which get none; all of the shadow where that is not known."""
+    """Return the share of receivers on meshes and trees in shadow, which get none; the whole shadow's share if unknown."""
     return casting.share if casting.on_bodies is None else max(casting.on_bodies, HALF_A_HIT)
 
 

@@ -1,4 +1,4 @@
-"""The shadow algorithms by name. Each is declared in its own module, as a record (``shadows.algorithm``)."""
+"""The shadow algorithms by name. Each is declared as a record (``skugga.shadows.algorithm``) in its own module."""
 
 from __future__ import annotations
 
@@ -16,13 +16,19 @@ from skugga.terrain.level.algorithm_names import ALGORITHM_NAMES, REFERENCE_NAME
 from skugga.terrain.level.level import CasterKind, Shadows
 
 MODULES = (shadow_map, perspective_shadow_map, shadow_volume, hybrid, planar, sweep, truth, none)
-"""Those that come with Skugga."""
+"""The modules of the algorithms that come with Skugga."""
 
 ALGORITHMS: dict[AlgorithmName, Algorithm] = {module.ALGORITHM.name: module.ALGORITHM for module in MODULES}
 
 
 def register_algorithm(algorithm: Algorithm) -> None:
-    """Make an algorithm known to levels, plans, the selector and the report of this process, in the place of one of its name."""
+    """Register an algorithm for levels, plans, the selector and the report of this process.
+
+    Parameters
+    ----------
+    algorithm
+        The record of the algorithm. It replaces an algorithm of the same name.
+    """
     ALGORITHMS[algorithm.name] = algorithm
     if algorithm.name not in ALGORITHM_NAMES:
         ALGORITHM_NAMES.append(algorithm.name)
@@ -33,24 +39,64 @@ def register_algorithm(algorithm: Algorithm) -> None:
 
 
 FALLBACK: AlgorithmName = shadow_map.ALGORITHM.name
-"""What serves every view, light and kind of casters, and is taken where nothing speaks for another."""
+"""The algorithm that serves every view, light and kind of casters. It is used where no other algorithm is preferred."""
 
 NO_SHADOWS: AlgorithmName = none.ALGORITHM.name
-"""What casts no shadows."""
 
 
 def selectable_algorithms() -> list[Algorithm]:
-    """The algorithms among which the selector chooses: those that throw shadows, but for the reference."""
+    """Return the algorithms among which the selector chooses.
+
+    Returns
+    -------
+    list of Algorithm
+        The algorithms that cast shadows, without the references.
+    """
     return [each for each in ALGORITHMS.values() if each.passes and each.served]
 
 
 def algorithms_serving(parts: Iterable[Requirement]) -> list[AlgorithmName]:
-    """The algorithms to choose from that can serve all of these together."""
+    """Return the names of the selectable algorithms that serve some requirements together.
+
+    Parameters
+    ----------
+    parts
+        The requirements.
+
+    Returns
+    -------
+    list of str
+        The names, in the order of registration.
+    """
     parts = tuple(parts)
     return [algorithm.name for algorithm in selectable_algorithms() if algorithm.refusal(parts) is None]
 
 
 def can_serve(name: AlgorithmName, descriptor: Descriptor, light: str, caster: CasterKind, asked: Shadows | None = None) -> bool:
-    """Whether an algorithm can take on a kind of casters under a light of a view, if that is ``asked`` of its shadows."""
+    """Return whether an algorithm can serve a kind of casters under a light of a view.
+
+    Parameters
+    ----------
+    name
+        The name of the algorithm.
+    descriptor
+        The facts of the view.
+    light
+        The name of the light.
+    caster
+        The kind of casters.
+    asked
+        The requested shadow settings; ``None``: the defaults.
+
+    Returns
+    -------
+    bool
+        Whether the algorithm refuses none of the requirements.
+
+    Raises
+    ------
+    KeyError
+        The name is not registered, or the view has no such light.
+    """
     area = is_area(descriptor, light, asked or Shadows())
     return ALGORITHMS[name].refusal(requirements_of(descriptor, descriptor.light_kinds[light], caster, area)) is None

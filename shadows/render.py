@@ -1,4 +1,4 @@
-"""``render_frame``: a plan executed on a scene and a view. Deferred: geometry, then visibility, then shading."""
+"""``render_frame``: execute a plan on a scene and a view by deferred shading: geometry, then visibility, then shading."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from skugga.terrain.shading import albedo_of, open_sky, shade, srgb_encoded
 from skugga.terrain.sky import sky
 
 RENDERER_VERSION = 3
-"""Raised by hand with every change by which any picture becomes another one: pyramids of before are drawn anew then."""
+"""Version of the renderer. Increment it by hand with every change of any picture: older pyramids are then redrawn."""
 
 SHADING_PASS = "shading"
 REFRACTION_PASS = "refraction"
@@ -43,20 +43,38 @@ MAX_PIXELS = 64_000_000
 """Largest frame: about 1.3 GB of layers."""
 
 REACH_EVERY = 4
-"""Pixels between two from which casters are looked for in a perspective view in which nothing casts."""
+"""Stride in pixels of the points from which casters are searched, in a perspective view in which nothing casts."""
 
 BAND_PIXELS = 2**21
-"""Pixels of a perspective view that are worked on at a time: about 0.5 GB."""
+"""Pixels of a perspective view that are processed at a time: about 0.5 GB."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A rendered view. Arrays are (rows, cols, ...), row 0 the upper (in a map the northern) one.
+    """A rendered view. Arrays are (rows, cols, ...). Row 0 is the upper row; in a map it is the northern row.
 
-    ``color`` uint8 sRGB; ``visibilities`` float32 in [0, 1] by light, NaN where there is no surface; ``shown_visibilities`` the
-    same with a map's edges anti-aliased, as ``color`` has them; ``height_m`` float32 likewise; ``position_frame_m`` float64
-    (rows, cols, 3) of a perspective view in ``frame``, ``None`` in a map; ``passes`` what really ran.
-    ``layers`` are the intermediate pictures that were asked for, by layer and light (``skugga.shadows.passes``).
+    Attributes
+    ----------
+    view, plan
+        The view, and the plan that was executed.
+    color
+        uint8 (rows, cols, 3), sRGB.
+    visibilities
+        Light -> float32 (rows, cols) in [0, 1], NaN off the surface.
+    shown_visibilities
+        The same with a map's edges anti-aliased, as in ``color``.
+    height_m
+        float32 (rows, cols), metres, NaN off the surface.
+    position_frame_m
+        float64 (rows, cols, 3), metres in ``frame``, of a perspective view; ``None`` in a map.
+    frame
+        The local frame of a perspective view; ``None`` in a map.
+    passes
+        The passes that ran.
+    reach
+        The distance to which casters were searched.
+    layers
+        The requested intermediate pictures, by layer and light (``skugga.shadows.passes``).
     """
 
     view: MapView | PerspectiveView
@@ -73,12 +91,12 @@ class Frame:
 
     @property
     def visibility(self) -> np.ndarray:
-        """Visibility of the first light: the sun, where there is one."""
+        """The visibility of the first light: the sun, if the view has it."""
         return next(iter(self.visibilities.values()))
 
     @property
     def opacity(self) -> np.ndarray:
-        """Opacity (rows, cols) uint8 of the first light's shadow as it is shown; 0 where there is no surface."""
+        """The opacity (rows, cols) uint8 of the first light's shadow as it is shown; 0 off the surface."""
         shown = next(iter(self.shown_visibilities.values()))
         return np.rint(255.0 * (1.0 - np.where(self.there, shown, 1.0))).astype(np.uint8)
 
@@ -91,37 +109,37 @@ class Frame:
 
     @property
     def effects(self) -> frozenset[EffectName]:
-        """The effects that ran, told from the record of what was really done."""
+        """The effects that ran, derived from the record of the passes."""
         return executed_effects(self.passes)
 
     @property
     def there(self) -> np.ndarray:
-        """Where there is a surface."""
+        """The valid mask: bool (rows, cols), where the view shows a surface."""
         return ~np.isnan(self.height_m)
 
     @property
     def opaque(self) -> np.ndarray:
-        """Where the colour means something: the surface, and in perspective the sky."""
+        """Where the colour is valid, bool (rows, cols): on the surface, and in the sky of a perspective view."""
         return self.there if isinstance(self.view, MapView) else np.ones(self.there.shape, bool)
 
     def under(self, light: str | None) -> Frame:
-        """The same frame with a light's visibility first (``None`` changes nothing). Raises ``InputError``."""
+        """Return the frame with a light's visibility first (``None`` changes nothing). Raises ``InputError``."""
         if light is None:
             return self
         if light not in self.visibilities:
-            raise InputError("light", light, f"lights that reach the view: {', '.join(self.visibilities)}")
+            raise InputError("light", light, f"{', '.join(self.visibilities)} (the lights that reach the view)")
         seen, shown = ({light: values[light], **values} for values in (self.visibilities, self.shown_visibilities))
         return replace(self, visibilities=seen, shown_visibilities=shown)
 
 
 def check_pixels(view: MapView | PerspectiveView) -> None:
-    """Raise ``InputError`` for a view of more pixels than a frame may have."""
+    """Raise ``InputError`` for a view with more pixels than a frame may have."""
     if view.rows * view.cols > MAX_PIXELS:
         raise InputError("size", f"{view.cols}x{view.rows}", f"at most {MAX_PIXELS} pixels")
 
 
 def passes_of(effects: Collection[str], shadow_passes: list[str]) -> list[str]:
-    """The passes of a frame in which these effects run, in order."""
+    """Return the passes of a frame in which these effects run, in order."""
 
     def parts(stage: Stage) -> list[str]:
         return [name for name, effect in EFFECTS.items() if effect.stage == stage and name in effects]
@@ -139,14 +157,35 @@ def render_frame(
     layers: frozenset[PassLayer] = frozenset(),
     pixels_show: PixelsShow = "means",
 ) -> Frame:
-    """Execute a plan and keep the intermediate ``layers``; ``on_block(done, total)`` is called after each block.
+    """Execute a plan on a scene and a view.
 
-    Pixels of a coarse map show the means of the ground that they cover (``skugga.shadows.coarse_pixels``), and edges in other maps
-    are anti-aliased (``skugga.shadows.map_edges``); or, as ``pixels_show`` says, pixels show their own points, by which accuracy is
-    measured.
+    Pixels of a coarse map show means of the ground that they cover (``skugga.shadows.coarse_pixels``). Edges in other maps are
+    anti-aliased (``skugga.shadows.map_edges``).
 
-    Raises ``UnsupportedError`` for a layer that the plan's algorithms do not have, ``RenderError`` where the work fails or
-    where other passes ran than the plan lists.
+    Parameters
+    ----------
+    scene, view, plan
+        The scene, the view, and the plan for both.
+    on_block
+        Function that is called with the numbers of finished and of all blocks, after each block.
+    layers
+        The intermediate pictures to keep.
+    pixels_show
+        ``means``, or the pixels' own points, by which accuracy is measured.
+
+    Returns
+    -------
+    Frame
+        The rendered view.
+
+    Raises
+    ------
+    InputError
+        The view has more pixels than a frame may have, or a layer too many texels.
+    UnsupportedError
+        No algorithm of the plan has a requested layer.
+    RenderError
+        The work fails, or other passes ran than the plan lists.
     """
     _check_layers(plan, layers)
     check_pixels(view)
@@ -159,7 +198,7 @@ def render_frame(
         block = render_block(scene, part, plan, log, pixels_show)
         reach = worse_reach(reach, block.reach)
         frame_window, block_window = windows_of(view, part, row, col)
-        if whole is None:  # the arrays of the only part are the picture's
+        if whole is None:  # a single part provides the arrays of the whole view
             whole = block if len(parts) == 1 and block.there.shape == size else _empty(view, plan, block)
         if whole is not block:
             whole.color[frame_window], whole.height_m[frame_window] = block.color[block_window], block.height_m[block_window]
@@ -178,8 +217,9 @@ def render_frame(
 
 
 def _looked_from(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
-    """The points from which casters are looked for: fewer where nothing casts in a perspective view, since only the report of how
-    far ground counts goes by them.
+    """Return the points from which casters are searched.
+
+    They are fewer in a perspective view in which nothing casts, since only the report of the casters' reach needs them there.
     """
     if plan.casts or isinstance(own_pixels.view, MapView):
         return own_pixels
@@ -187,7 +227,7 @@ def _looked_from(own_pixels: GeometryBuffer, plan: Plan) -> GeometryBuffer:
 
 
 def _empty(view: MapView | PerspectiveView, plan: Plan, part: Frame) -> Frame:
-    """The frame of a view before any of its parts is in it, with arrays like those of a part."""
+    """Return the frame of a view before any part is drawn, with arrays like those of a part."""
     size = view.rows, view.cols
     visibilities, shown = ({light: np.full(size, np.nan, np.float32) for light in plan.lights} for _ in range(2))
     position = None if part.position_frame_m is None else np.full((*size, 3), np.nan)
@@ -203,13 +243,13 @@ def _check_layers(plan: Plan, layers: frozenset[PassLayer]) -> None:
 
 
 def bands_of(view: PerspectiveView) -> list[tuple[PerspectiveView, int, int]]:
-    """A perspective view in bands of whole rows, so that memory stays bounded; each with its first row and column."""
+    """Return a perspective view in bands of whole rows, each with its first row and column. Bands bound the memory."""
     rows = max(BAND_PIXELS // view.cols, 1)
     return [(view.part(row, 0, min(rows, view.rows - row), view.cols), row, 0) for row in range(0, view.rows, rows)]
 
 
 def under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
-    """Return the scene with the sun where a plan's effects show it: refraction is a pass of its own."""
+    """Return the scene with the sun as a plan's effects show it. Refraction is a pass of its own."""
     if REFRACTION_PASS not in plan.runs:
         return with_apparent_sun(scene, plan.runs)
     with log.run(REFRACTION_PASS):
@@ -219,7 +259,7 @@ def under_sky(scene: Scene, plan: Plan, log: PassLog) -> Scene:
 def render_block(
     scene: Scene, view: MapView | PerspectiveView, plan: Plan, log: PassLog, pixels_show: PixelsShow = "means"
 ) -> Frame:
-    """Render a part of a view, or a block of a map, of a scene ``under_sky``. Raises as ``render_frame``."""
+    """Render a part of a view, or a block of a map, of a scene from ``under_sky``. Raises as ``render_frame``."""
     with log.run(GEOMETRY_PASS):
         picture = picture_buffer(scene, view)
         buffer, own_pixels = picture.buffer, picture.own
@@ -255,7 +295,7 @@ def render_block(
 
 
 def _shaded(block: ShadingBlock, plan: Plan, log: PassLog) -> np.ndarray:
-    """Linear display colour (rows, cols, 3) of a block's surface."""
+    """Return the linear display colour (rows, cols, 3) of a block's surface."""
     light: dict[Stage, np.ndarray] = {}
     for stage in BEFORE_SHADING:
         _run_parts(stage, light, block, plan, log)
@@ -265,7 +305,7 @@ def _shaded(block: ShadingBlock, plan: Plan, log: PassLog) -> np.ndarray:
 
 
 def _unlit(block: ShadingBlock, stage: Stage) -> np.ndarray:
-    """What the first effect of a stage begins with."""
+    """Return the array with which the first effect of a stage starts."""
     shape = block.buffer.there.shape
     if stage == "albedo":
         return albedo_of(block.buffer, block.scene)
@@ -277,7 +317,7 @@ def _unlit(block: ShadingBlock, stage: Stage) -> np.ndarray:
 
 
 def _run_parts(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBlock, plan: Plan, log: PassLog) -> None:
-    """Run the parts of the effects of a stage, each a pass of its own."""
+    """Run the parts of a stage's effects, each as a pass of its own."""
     for name, effect in EFFECTS.items():
         if effect.stage == stage and effect.part is not None and name in plan.runs:
             with log.run(name):
@@ -287,12 +327,12 @@ def _run_parts(stage: Stage, values: dict[Stage, np.ndarray], block: ShadingBloc
 
 
 def _put_sky(scene: Scene, view: PerspectiveView, picture: MultisampledBuffer, linear: np.ndarray) -> None:
-    """Colour the pixels and samples that show nothing."""
+    """Colour the pixels and samples without a surface."""
     row, col = np.nonzero(~picture.buffer.there)
     pixel_row, pixel_col = picture.pixels_of(row, col)
     linear[row, col] = sky(scene, view, pixel_row, pixel_col)
 
 
 def worse_reach(a: Reach, b: Reach) -> Reach:
-    """The reach to report of two blocks: a clipped one before a whole one, then the farther one."""
+    """Return the reach to report for two blocks: a clipped one before an unclipped one, then the farther one."""
     return max(a, b, key=lambda reach: (reach.clipped, reach.needed_m, -reach.used_m))

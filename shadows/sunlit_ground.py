@@ -1,6 +1,6 @@
-"""The sun at a map's own points of bare ground, without a geometry buffer: what masks of large rasters are made of.
+"""The sun's visibility at a map's own points of bare ground, without a geometry buffer: the path for masks of large rasters.
 
-The answers are those of ``render_frame``'s masks: the same sweep over the same nodes.
+The masks equal those of ``render_frame``: both sweep the same nodes.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from skugga.terrain.scene import Scene
 
 
 def is_lit_by_heights(scene: Scene, view: MapView, plan: Plan) -> bool:
-    """Whether the sun at a map's own points follows from the heights of bare ground."""
+    """Return whether the heights of bare ground determine the sun's visibility at a map's own points."""
     if not (view.on_nodes and is_bare(scene) and scene.sun is not None and plan.lights[0] == SUN):
         return False
     return not scene.sun_is_up or (heights_say_all(scene, plan) and coarse_pixels(scene, view, plan) is None)
 
 
 def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: PassLog) -> Picture | None:
-    """Execute a plan at the points of a block; ``None`` where its ground needs triangles. Raises as ``render_frame``."""
+    """Draw the masks of a block by a plan, or return ``None`` where its triangles are needed. Raises as ``render_frame``."""
     with log.run(GEOMETRY_PASS):
         ground = bare_ground(scene, view, None)
         if ground is None:
@@ -54,7 +54,7 @@ def sunlit_picture(scene: Scene, view: MapView, plan: Plan, needs: Needs, log: P
 
 @cached("scene", 448 * MIB, key=lambda scene, view: (scene.world, scene.elevation, view), most=1)
 def rim_points(scene: Scene, view: MapView) -> GeometryBuffer | None:
-    """The points of a map on the rim of its ground, if there are any: kept, for many suns may be asked for one after the other."""
+    """Return the points of a map on the rim of its ground, or ``None``. They are cached for many suns in sequence."""
     ground = bare_ground(scene, view, None)
     rim = np.zeros((view.rows, view.cols), np.bool_) if ground is None else _rim(scene, view) & ground.there
     if ground is None or not rim.any():
@@ -63,8 +63,9 @@ def rim_points(scene: Scene, view: MapView) -> GeometryBuffer | None:
 
 
 def _rim(scene: Scene, view: MapView) -> np.ndarray:
-    """Which nodes (rows, cols) miss one of the eight beside them. Inside, the facet that a node's way to the sun leads over shades
-    it if all are turned away; here there may be none.
+    """Return the nodes (rows, cols), bool, that lack one of their eight neighbours.
+
+    Elsewhere the facet on a node's way to the sun shades it if all its facets face away. At the rim this facet may be missing.
     """
     there = bare_nodes(scene, view, 1).surface.there
     rows, cols = there.shape
@@ -76,8 +77,9 @@ def _rim(scene: Scene, view: MapView) -> np.ndarray:
 
 
 def cosine_of_incidence(scene: Scene, view: MapView) -> np.ndarray:
-    """The cosine of the angle between the sun and the ground's smooth normal at a map's own points (rows, cols) float32: negative
-    where the ground faces away, NaN where there is none. Objects and water on it do not count.
+    """Return the cosine between the sun's direction and the ground's smooth normal at a map's own points, (rows, cols) float32.
+
+    It is negative where the ground faces away, and NaN off the ground. Objects and water are ignored.
     """
     assert scene.sun is not None
     normal_frame, frame = ground_normals(scene, view)

@@ -1,4 +1,4 @@
-"""Filling a light's visibility: the one place where a plan's steps are run, for pictures, comparisons, measuring and benchmarks."""
+"""Fill a light's visibility: the only place that runs a plan's steps, for pictures, comparisons, measurements and benchmarks."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from skugga.terrain.scene import Scene
 def fill_steps(
     steps: Iterable[Step], buffer: GeometryBuffer, scene: Scene, casters: Casters, effects: Collection[str], log: PassLog
 ) -> np.ndarray:
-    """A light's visibility (rows, cols) float32 in [0, 1] at a buffer's points: the product of what its steps fill.
+    """Return a light's visibility (rows, cols) float32 in [0, 1] at a buffer's points: the product of its steps.
 
-    ``steps`` are of one light (``Plan.steps_under``), ``effects`` those that run (``Plan.runs``). Where nobody looks for the
-    light (``without_hidden_points``) it is 1, where no surface is or one that is turned away it means nothing. Raises as the
+    ``steps`` belong to one light (``Plan.steps_under``). ``effects`` are those that run (``Plan.runs``). The visibility is 1 at
+    hidden points (``without_hidden_points``). It has no meaning off the surface and where the surface faces away. Raises as the
     algorithms do.
     """
     steps = list(steps)
@@ -44,14 +44,14 @@ def fill_steps(
 
 
 def receivers_of(buffer: GeometryBuffer, scene: Scene, light: str) -> GeometryBuffer:
-    """A buffer whose points are those from which a light is looked for: what algorithms fill."""
+    """Return a buffer whose points are the receivers: the points at which algorithms fill a light's visibility."""
     if light == SUN and not scene.sun_is_up:
         return buffer
     return on_smooth_ground(buffer, scene.light_position(light, buffer.frame))
 
 
 def visibilities_at(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: Casters, log: PassLog) -> dict[str, np.ndarray]:
-    """Each light's visibility (rows, cols) float32 at a buffer's points, attached shadow in it."""
+    """Return each light's visibility (rows, cols) float32 at a buffer's points, with attached shadow."""
     visibilities = {}
     for light in plan.lights:
         steps = needed_steps(scene, plan.steps_under(light), buffer, casters, log)
@@ -63,8 +63,9 @@ def visibilities_at(scene: Scene, plan: Plan, buffer: GeometryBuffer, casters: C
 
 
 def without_hidden_points(buffer: GeometryBuffer, scene: Scene, light: str, effects: Collection[str]) -> GeometryBuffer:
-    """A buffer without the points at which nobody looks for a light: in a perspective view those so far away that haze hides
-    whether the sun shines on them.
+    """Return a buffer without points whose visibility nobody sees.
+
+    In a perspective view those are points so far away that haze hides whether the sun shines on them.
     """
     if "haze" not in effects or light != SUN or isinstance(buffer.view, MapView):
         return buffer
@@ -86,5 +87,5 @@ def _nearer(first, last, there, position, eye, limit_m, out):
 
 
 def with_apparent_sun(scene: Scene, effects: Collection[str]) -> Scene:
-    """The scene with the sun where it is seen, or, without refraction, where it is."""
+    """Return the scene with the sun at its apparent position, or, without refraction, at its true one."""
     return scene if "refraction" in effects else scene.without_refraction

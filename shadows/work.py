@@ -1,9 +1,9 @@
-"""What a step of a plan has to do, counted from the descriptor alone: pixels, texels, triangles, trees, faces of volumes.
+"""The work of a plan's step, counted from the descriptor alone: pixels, texels, triangles, trees, faces of volumes.
 
-The counts of each part of an algorithm (named after the algorithm, or after what several share, and after the kind of view or
-light where the work is another one) are of things that take the same time whatever the scene, as far as may be: a device's time is
-the sum of counts times its rates (``skugga.selector.cost.cost_model``). Counts of a map view are those of one block. Each algorithm
-counts its own parts; here is what several of them count by.
+A part of an algorithm is named after the algorithm, or after the code that several share; where the kind of view or light changes
+the work, the name includes it. The counts of a part are of things that take the same time in every scene, as far as possible. A
+device's time is the sum of counts times rates (``skugga.selector.cost.cost_model``). Counts of a map view are those of one block.
+Each algorithm counts its own parts; this module has the quantities that several of them share.
 """
 
 from __future__ import annotations
@@ -22,27 +22,37 @@ from skugga.terrain.gbuffer.ground_mesh import WHOLE_TRIANGLES
 from skugga.terrain.level.level import SUN, CasterKind
 
 Counts = dict[str, float]
-"""How often each thing is done, by name."""
+"""Count of each kind of thing, by name."""
 
 Work = dict[str, Counts]
 """Counts by part of an algorithm."""
 
 MAX_OPACITY = 0.98
-"""No wood is taken to stop a larger share of the light."""
+"""Upper bound of the share of light that a wood is assumed to block."""
 
 UNKNOWN_LIGHT = LightFacts()
-"""What is taken of a light of which a descriptor says nothing."""
+"""Facts assumed for a light that a descriptor does not describe."""
 
 
 def is_decimated(descriptor: Descriptor) -> bool:
-    """Whether the ground of a perspective view is drawn with fewer triangles than its nodes make, if that is known."""
+    """Return whether the ground of a perspective view is known to be drawn with fewer triangles than its nodes make."""
     relief = next((its for its in descriptor.stands if its.kind == "relief"), None)
     return relief is not None and 2 * (relief.nodes or 0) > WHOLE_TRIANGLES
 
 
 @dataclass(frozen=True)
 class Workload:
-    """A descriptor's work under a light for some kinds of casters, as quantities that several algorithms share."""
+    """Quantities of a step's work that several algorithms share.
+
+    Attributes
+    ----------
+    descriptor
+        The facts of a view.
+    light
+        The name of the light.
+    kinds
+        The kinds of casters that the step serves.
+    """
 
     descriptor: Descriptor
     light: str
@@ -62,12 +72,12 @@ class Workload:
 
     @property
     def pixels(self) -> float:
-        """Pixels, and the further samples that those get where something ends."""
+        """Pixels, and their further samples at edges."""
         return self.descriptor.pixels * (1.0 + samples_per_pixel(self.descriptor.edge_share))
 
     @property
     def pictures(self) -> float:
-        """How often what casts is drawn where it is drawn into whole pictures: that of the pixels, and the samples' finer one."""
+        """Number of pictures into which casters are drawn: that of the pixels, and the finer one of the samples."""
         return 2.0 if self.descriptor.edge_share > 0.0 else 1.0
 
     @property
@@ -82,14 +92,15 @@ class Workload:
 
     @property
     def facing(self) -> float:
-        """Pixels and samples that show a surface which faces the light."""
+        """Pixels and samples that show a surface that faces the light."""
         return self.seen * self.facts.facing_share
 
     @cached_property
     def turned_away(self) -> float:
-        """The share of the ground that faces away from the light. What is seen does not tell, since an eye sees few far sides:
-        under the sun gradients are taken to be normally distributed, of the level's mean slope, whatever their direction (so that
-        their lengths have a Rayleigh distribution).
+        """The share of the ground that faces away from the light.
+
+        The visible share underestimates it, since an eye sees few far sides. Under the sun, gradients are assumed to be normally
+        distributed with the level's mean slope, in every direction alike; their lengths then have a Rayleigh distribution.
         """
         seen = 1.0 - self.facts.facing_share
         mean = np.tan(np.radians(min(self.descriptor.mean_slope_deg, 89.0)))
@@ -99,7 +110,7 @@ class Workload:
         return max(seen, 0.5 * erfc(rise / (mean * sqrt(2.0 / pi)) / sqrt(2.0)))
 
     def caster_facts(self, kind: CasterKind) -> CasterFacts | None:
-        """What there is of a kind of casters, if the step takes it on."""
+        """Return the facts of a kind of casters; ``None`` if the step does not serve it, or the level has none."""
         return next((its for its in self.descriptor.stands if its.kind == kind and kind in self.kinds), None)
 
     def triangles(self, kind: CasterKind) -> float:
@@ -118,7 +129,7 @@ class Workload:
 
     @property
     def ground_triangles(self) -> float:
-        """Triangles of the ground that casts."""
+        """Triangles of the casting ground."""
         return self.triangles("relief") + self.outside_triangles
 
     @property
@@ -127,16 +138,16 @@ class Workload:
 
     @property
     def nodes(self) -> float:
-        """Nodes of a map's block, however many pixels they are."""
+        """Nodes of a map's block, whatever the number of its pixels."""
         return self.pixels * (self.descriptor.pixel_m / self.descriptor.node_m) ** 2
 
     @property
     def seen_light_m2(self) -> float:
-        """What is seen across the light, square metres."""
+        """The visible area across the light, square metres."""
         return self.level_light_m2 * self.facts.area_share
 
     def by_view(self, part: str) -> str:
-        """A part's name with the kind of view, for what is another work in a map."""
+        """Return a part's name with the kind of view, for work that differs between maps and perspective views."""
         return f"{part}, {self.descriptor.view_kind}"
 
     @property
@@ -146,7 +157,7 @@ class Workload:
 
     @cached_property
     def level_light_m2(self) -> float:
-        """The level's area across the sun's light; for a lamp, what its light falls on at the distance that it is meant for."""
+        """The level's area across the sun's light, square metres; for a lamp, the area that it lights at its reference distance."""
         extent_m = self.descriptor.receivers_light_m
         if self.light == SUN and extent_m is not None:
             return max(extent_m[0] * extent_m[1] / max(self.facts.area_share, 1e-6), 1e-6)
@@ -156,9 +167,10 @@ class Workload:
 
     @cached_property
     def tree_layers(self) -> float:
-        """How many times trees, as boxes seen from the light, cover what lies round the view in the mean: as often as their leaves
-        stop its rays, if that is known (J. Ross 1981, "The radiation regime and architecture of plant stands": e to the power of
-        minus the layers is let through), or as the level is wooded in the mean.
+        """The mean number of layers of trees, as boxes seen from the light, around the view.
+
+        It follows from the share of rays that leaves block, if that is known: e to the power of minus the layers is let through (J.
+        Ross 1981, "The radiation regime and architecture of plant stands"). Otherwise it is the mean over the level.
         """
         cast = self.facts.casts.get("forest")
         if cast is not None and self.facts.facing_share > 0.0:
@@ -175,5 +187,5 @@ class Workload:
         return its.width_m * (its.height_m * cos(rise) + its.width_m * sin(rise))
 
     def trees_within(self, light_m2: float) -> float:
-        """How many trees are drawn for an area across the light."""
+        """Return the number of trees that are drawn for an area across the light."""
         return min(self.trees, self.tree_layers * light_m2 / max(self.tree_light_m2, 1e-9))

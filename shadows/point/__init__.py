@@ -1,1 +1,1 @@
-"""What one point sees of the sun: its horizon in every direction by relief, meshes and trees, and when the sun clears it."""
+"""The sun at one point: its horizon profile by relief, meshes and trees, and the times of direct sun."""

@@ -1,5 +1,4 @@
-"""Directions from a point, in the order of their azimuths, so that those towards a thing are found without looking at the
-others."""
+"""Directions from a point, sorted by azimuth, so that a search for those towards an object skips all others."""
 
 from __future__ import annotations
 
@@ -14,8 +13,18 @@ AZIMUTH_BINS = 3600
 
 
 class Directions(NamedTuple):
-    """Azimuths (n,) of directions, ascending in [0, 360), with their sines and cosines; the first one at or after each bin's
-    beginning (``AZIMUTH_BINS`` + 1,); and the place of each among those that were given (n,).
+    """Directions sorted by azimuth.
+
+    Attributes
+    ----------
+    azimuth
+        (n,) degrees, ascending in [0, 360).
+    sine, cosine
+        (n,): of the azimuths.
+    first
+        int (AZIMUTH_BINS + 1,): the first direction at or after the start of each bin.
+    given
+        int (n,): the index of each direction in the caller's order.
     """
 
     azimuth: np.ndarray
@@ -26,7 +35,7 @@ class Directions(NamedTuple):
 
 
 def directions_of(azimuth_deg: np.ndarray) -> Directions:
-    """Azimuths (n,) in degrees, in order."""
+    """Return azimuths (n,) in degrees as sorted directions."""
     azimuth = np.asarray(azimuth_deg, np.float64) % 360.0
     order = np.argsort(azimuth, kind="stable")
     azimuth = azimuth[order]
@@ -37,8 +46,9 @@ def directions_of(azimuth_deg: np.ndarray) -> Directions:
 
 @internal
 def ends_towards(directions, low, high):
-    """The numbers [begin, end) of the directions with azimuths from ``low`` to ``high`` degrees, with low in [0, 360); numbers of
-    a second turn are counted on from the first turn's. A few more may be among them.
+    """Return the range [begin, end) of directions with azimuths from ``low`` to ``high`` degrees.
+
+    ``low`` lies in [0, 360). Indices beyond the last direction wrap around to the first. A few further directions may be in it.
     """
     count = len(directions.azimuth)
     if high - low >= 360.0:

@@ -1,7 +1,7 @@
-"""The horizon round a point by everything that casts, and what hides the sun there.
+"""The horizon profile of a point by all casters, and the objects that hide the sun from it.
 
-Lit is a point whose ray towards the middle of the sun's disc meets nothing, with the sun above the level plane through the eye:
-below it no ground is lit (``Scene.sun_is_up``), and where a level's data end, nobody knows what stands there.
+A point is lit if its ray towards the centre of the sun's disc meets nothing and the sun is above the level plane through the eye.
+Below that plane no ground is lit (``Scene.sun_is_up``): beyond the edge of a level's data the terrain is unknown.
 """
 
 from __future__ import annotations
@@ -21,18 +21,30 @@ from skugga.terrain.geo.world import geodetic
 from skugga.terrain.scene import Scene
 
 HORIZON_DIRECTIONS = 720
-"""Directions of a horizon, unless more are asked for: every half degree."""
+"""Default number of directions of a horizon: every half degree."""
 
 WHOLE_TREES_M = 1e-3
-"""Pixels so small that a map of them draws every tree: none is thinned out."""
+"""Pixel size in metres of a map that draws every tree: it is so small that none is dropped."""
 
 
 @dataclass(frozen=True)
 class SunCaster:
-    """What hides the sun, or makes the horizon.
+    """An object that hides the sun, or forms the horizon.
 
-    ``distance_m`` is along the ground, ``height_m`` that of the place itself, ``elevation_deg`` its angle above the eye's level. In
-    a flat world there is no longitude and latitude.
+    Attributes
+    ----------
+    kind
+        The kind of caster.
+    distance_m
+        Distance along the ground, metres.
+    azimuth_deg
+        Azimuth, clockwise from true north.
+    elevation_deg
+        Elevation angle above the eye's level.
+    height_m
+        Height of the highest point of the caster in this direction, metres.
+    lon_deg, lat_deg
+        Its longitude and latitude; ``None`` in a flat world.
     """
 
     kind: CasterType
@@ -46,10 +58,18 @@ class SunCaster:
 
 @dataclass(frozen=True, eq=False)
 class PointHorizon:
-    """The horizon towards azimuths (n,), clockwise from true north; elevation angles in degrees above the eye's level.
+    """The horizon profile: elevation angles above the eye's level, in degrees.
 
-    ``relief_deg``, ``solids_deg`` and ``forest_deg`` are those of the highest ground, building or mesh, and leaf, -90 where there
-    is none.
+    Attributes
+    ----------
+    azimuth_deg
+        (n,), clockwise from true north.
+    relief_deg
+        (n,): of the highest ground; -90 without any.
+    solids_deg
+        (n,): of the highest building or mesh; -90 without any.
+    forest_deg
+        (n,): of the highest leaf; -90 without any.
     """
 
     azimuth_deg: np.ndarray
@@ -65,8 +85,22 @@ class PointHorizon:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What stands round a place: triangles (m, 3) of points (k, 3) east, north and up of the eye, which of them are buildings'
-    (m,), and trees.
+    """A place and the casters around it.
+
+    Attributes
+    ----------
+    scene
+        The scene.
+    place
+        The place.
+    point_enu_m
+        (k, 3) metres: vertices of meshes, east, north and up from the eye.
+    triangles
+        int (m, 3): triangles of these vertices.
+    is_building
+        bool (m,): triangles that belong to buildings.
+    trees
+        The trees; ``None`` without any.
     """
 
     scene: Scene
@@ -78,7 +112,7 @@ class Surroundings:
 
 
 def surroundings(scene: Scene, place: PointPlace) -> Surroundings:
-    """What casts at a place. Raises as reading a level's meshes and trees does."""
+    """Return the casters around a place. Raises the errors of reading a level's meshes and trees."""
     points, triangles, is_building = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0, bool)
     solids, placement = scene.objects.solids, scene.objects.placement
     if solids is not None and placement is not None:
@@ -89,7 +123,7 @@ def surroundings(scene: Scene, place: PointPlace) -> Surroundings:
 
 
 def horizon_round(around: Surroundings, azimuth_deg: np.ndarray | None = None) -> PointHorizon:
-    """The horizon of a place towards azimuths (n,); by default ``HORIZON_DIRECTIONS`` from north on."""
+    """Return the horizon of a place towards azimuths (n,); by default ``HORIZON_DIRECTIONS`` from north on."""
     if azimuth_deg is None:
         azimuth_deg = np.arange(HORIZON_DIRECTIONS) * (360.0 / HORIZON_DIRECTIONS)
     ground = relief_horizon(around.scene, around.place, azimuth_deg)
@@ -100,7 +134,7 @@ def horizon_round(around: Surroundings, azimuth_deg: np.ndarray | None = None) -
 
 
 def sun_reaches(around: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
-    """Whether rays towards suns at azimuths and altitudes (n,) meet nothing: bool (n,), False for suns that are not up."""
+    """Return whether rays towards suns at azimuths and altitudes (n,) meet nothing: bool (n,), False for suns that are not up."""
     azimuth, altitude = (np.asarray(v, np.float64) for v in (azimuth_deg, altitude_deg))
     lit = altitude > 0.0
     up = np.flatnonzero(lit)
@@ -111,7 +145,7 @@ def sun_reaches(around: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.
 
 
 def objects_leave_free(around: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> np.ndarray:
-    """Whether rays towards azimuths and altitudes (n,) meet neither meshes nor leaves: bool (n,)."""
+    """Return whether rays towards azimuths and altitudes (n,) meet neither meshes nor leaves: bool (n,)."""
     free = np.ones(len(azimuth_deg), bool)
     for kind in ("meshes", "forest"):
         left = np.flatnonzero(free)
@@ -121,8 +155,10 @@ def objects_leave_free(around: Surroundings, azimuth_deg: np.ndarray, altitude_d
 
 
 def what_hides(around: Surroundings, azimuth_deg: np.ndarray, altitude_deg: np.ndarray) -> list[SunCaster | None]:
-    """What stands in the way of rays towards suns (n,): of the kinds of casters that do, the one that reaches highest there, at its
-    highest place in the sun's direction. ``None`` where nothing does, or the sun is not up.
+    """Return the occluder of each sun (n,); ``None`` where nothing hides it or it is not up.
+
+    Of several kinds of casters on the ray, it is the one that reaches highest in the sun's azimuth. Its position is the highest
+    point there.
     """
     azimuth, altitude = (np.atleast_1d(np.asarray(v, np.float64)) for v in (azimuth_deg, altitude_deg))
     ground = relief_horizon(around.scene, around.place, azimuth)
@@ -154,7 +190,7 @@ def _trees_round(scene: Scene, place: PointPlace) -> SeenTrees | None:
 
 
 def _highest_objects(around: Surroundings, directions: Directions) -> tuple[Sighting, Sighting]:
-    """The highest solids and leaves towards directions, in the order in which these were given."""
+    """Return the highest solids and leaves towards directions, in the caller's order."""
     count = len(directions.azimuth)
     solids, leaves = nothing_sighted(count), nothing_sighted(count)
     highest_solids(around.point_enu_m, around.triangles, directions, solids)
@@ -166,7 +202,7 @@ def _highest_objects(around: Surroundings, directions: Directions) -> tuple[Sigh
 def _in_the_way(
     around: Surroundings, azimuth_deg: np.ndarray, tangent: np.ndarray, kinds: tuple[str, ...] = ("meshes", "forest")
 ) -> list[Sighting]:
-    """The nearest of each of some kinds of objects in the way of rays, in the order in which these were given."""
+    """Return the nearest object of each kind that rays meet, in the caller's order."""
     directions = directions_of(azimuth_deg)
     ordered, found = tangent[directions.given], []
     for kind in kinds:

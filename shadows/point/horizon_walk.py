@@ -1,9 +1,9 @@
-"""The horizon that ground makes round a point: along each line of sight the ground that stands highest above the eye's level.
+"""The horizon of a point by ground: on each line of sight, the ground with the largest elevation angle above the eye's level.
 
-A line crosses the very triangles that cast (or, of ``surface: blocks``, the tops and walls of columns). Between two crossings of
-their edges the ground is straight, so that its angle is highest at one of them. Whole tiles and pages are passed over where even
-their highest ground, put at their near end, would stay below the horizon found so far; pages are read where this does not rule
-them out, nearest first. So far ground costs little, and nothing is left out: the horizon is that of all quads.
+A line crosses the triangles that cast shadows (or, for ``surface: blocks``, the tops and walls of columns). Between two crossings
+of edges the ground is straight, so its elevation angle is largest at one of them. Whole tiles and pages are skipped if their
+highest ground, moved to their near end, would stay below the horizon found so far. Other pages are read, the nearest first. So far
+ground costs little although no quad is left out: the horizon is that of all quads.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ NO_GROUND = -1e30
 """Tangent of a horizon without any ground."""
 
 NUDGE = 1e-7
-"""Nodes by which a line is followed into the next quad."""
+"""Step in nodes by which a line enters the next quad."""
 
 LEAST_NODES = 1e-4
-"""Nearer than this to the eye's foot, in nodes, the ground is that under it."""
+"""Distance in nodes within which ground counts as the ground under the eye."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +37,11 @@ class ReliefHorizon:
     Attributes
     ----------
     azimuth_deg
-        (n,) clockwise from true north.
+        (n,), clockwise from true north.
     tangent
-        (n,) of its elevation angle; ``NO_GROUND`` where there is no ground.
+        (n,): of the elevation angle; ``NO_GROUND`` without ground.
     distance_m, height_m
-        (n,) of the ground that makes it; NaN where there is none.
+        (n,): distance and height of the ground that forms the horizon; NaN without any.
     """
 
     azimuth_deg: np.ndarray
@@ -51,7 +51,25 @@ class ReliefHorizon:
 
 
 class Pages(NamedTuple):
-    """The ground at one detail as the loop takes it: see ``PagedLevel``. ``scale`` are nodes of the finest detail to one of it."""
+    """The ground at one level of detail, for compiled loops: see ``PagedLevel``.
+
+    Attributes
+    ----------
+    bound
+        ``PagedLevel.bound_m``.
+    first_row, first_col
+        The page of ``bound[0, 0]``.
+    number
+        ``PagedLevel.number``.
+    height
+        ``PagedLevel.height_m``.
+    high
+        ``PagedLevel.high_m``.
+    scale
+        Nodes of the finest level of detail per node of this one.
+    blocks
+        Whether cells are columns with flat tops.
+    """
 
     bound: np.ndarray
     first_row: int
@@ -64,8 +82,18 @@ class Pages(NamedTuple):
 
 
 class Lines(NamedTuple):
-    """Lines of sight as the loop takes them: see ``SightLines``; the eye's height, from where and how far, in nodes, they are
-    followed, and whether they end at the first ground that stands above what was found.
+    """Lines of sight, for compiled loops: see ``SightLines``.
+
+    Attributes
+    ----------
+    distance, row, col, curvature
+        As in ``SightLines``.
+    eye
+        Height of the eye, metres.
+    near, far
+        Range of distances to walk, in nodes.
+    to_first
+        Whether a line ends at the first ground above its tangent.
     """
 
     distance: np.ndarray
@@ -79,8 +107,16 @@ class Lines(NamedTuple):
 
 
 class Walks(NamedTuple):
-    """How far lines were followed, and what was found: piece and share (n,) of the line between two of its distances, whether it
-    ended; the highest ground's tangent, distance and height.
+    """The state and the results of lines.
+
+    Attributes
+    ----------
+    piece, share
+        (n,): the position of each line: the piece between two of its distances, and the share of the piece.
+    ended
+        bool (n,): lines that are complete.
+    tangent, distance, height
+        (n,): the highest ground so far.
     """
 
     piece: np.ndarray
@@ -92,23 +128,23 @@ class Walks(NamedTuple):
 
 
 def relief_horizon(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray) -> ReliefHorizon:
-    """The horizon that a level's ground makes round a place, towards azimuths (n,)."""
+    """Return the horizon that a level's ground forms around a place, towards azimuths (n,)."""
     azimuth = np.asarray(azimuth_deg, np.float64)
     found = _walked(scene, place, azimuth, np.full(len(azimuth), NO_GROUND), to_first=False)
     return ReliefHorizon(azimuth, found.tangent, found.distance, found.height)
 
 
 def ground_hides(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """Whether a level's ground stands in the way of rays from a place, of ``tangent`` (n,) above its level: bool (n,).
+    """Return whether a level's ground blocks rays from a place, with ``tangent`` (n,) above its level: bool (n,).
 
-    Faster than the horizon: ground that stays below the ray need not be looked at.
+    This is faster than the horizon, since ground below a ray is skipped.
     """
     found = _walked(scene, place, np.asarray(azimuth_deg, np.float64), np.array(tangent, np.float64), to_first=True)
     return np.isfinite(found.distance)
 
 
 def _walked(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: np.ndarray, to_first: bool) -> Walks:
-    """The highest, or the first, ground above tangents (n,); these are written over."""
+    """Return the walks to the highest, or to the first, ground above tangents (n,), which are overwritten."""
     ground = paged_relief(scene)
     lines = sight_lines(ground, place, azimuth_deg, farthest_m(scene, place))
     count = len(azimuth_deg)
@@ -132,7 +168,10 @@ def _walked(scene: Scene, place: PointPlace, azimuth_deg: np.ndarray, tangent: n
 
 
 def farthest_m(scene: Scene, place: PointPlace) -> float:
-    """How far ground can stand above the horizon of a place: to the raster's corners, and no farther than the earth lets see."""
+    """Return an upper bound in metres for the distance of ground above the horizon of a place.
+
+    It is the distance to the raster's corners, limited by the earth's curvature.
+    """
     bounds = scene.elevation.bounds
     x, y = (v.ravel() for v in np.meshgrid(np.linspace(bounds[0], bounds[2], 5), np.linspace(bounds[1], bounds[3], 5)))
     corners, _ = scene.world.ground(scene.elevation.crs, x, y)
@@ -153,7 +192,7 @@ def _farthest_nodes(lines: SightLines) -> float:
 
 @compiled
 def _walk(pages, lines, found, wanted):
-    """Follow each line until it ends or needs a page that was not read, which is then ``wanted``."""
+    """Follow each line until it is complete or needs a page that is not read; mark that page in ``wanted``."""
     for n in range(len(lines.row)):
         if not found.ended[n]:
             _follow(pages, lines, found, wanted, n)
@@ -168,7 +207,7 @@ def _follow(pages, lines, found, wanted, n):
     rows, cols = pages.bound.shape
     t = found.share[n]
     for piece in range(found.piece[n], len(lines.distance) - 1):
-        # Of columns the cell's number is the whole part of where a line is; of nodes the quad's.
+        # The whole part of a position is the index of a column's cell, or of a quad.
         r0, c0 = (lines.row[n, piece] + shift) / scale, (lines.col[n, piece] + shift) / scale
         dr, dc = (lines.row[n, piece + 1] - lines.row[n, piece]) / scale, (lines.col[n, piece + 1] - lines.col[n, piece]) / scale
         s0, ds = lines.distance[piece], lines.distance[piece + 1] - lines.distance[piece]
@@ -239,7 +278,7 @@ def _follow(pages, lines, found, wanted, n):
 
 @internal
 def _leaving(r0, dr, c0, dc, top, left, side, after):
-    """The share of a piece at which it leaves a square of the grid; always beyond ``after``."""
+    """Return the share of a piece at which it leaves a square of the grid; always at least ``after``."""
     out = np.inf
     if dr > 0.0:
         out = (top + side - r0) / dr
@@ -254,7 +293,7 @@ def _leaving(r0, dr, c0, dc, top, left, side, after):
 
 @internal
 def _may_rise(high, eye, best, kappa, near, far):
-    """Whether ground up to a height, between two distances, may stand above a tangent."""
+    """Return whether ground up to a height, between two distances, may exceed a tangent."""
     if high == -np.inf:
         return False
     theta = kappa * near
@@ -265,7 +304,7 @@ def _may_rise(high, eye, best, kappa, near, far):
 
 @internal
 def _higher(found, n, best, h, eye, kappa, s, at, least):
-    """The tangent of ground of a height at a distance, where it is more than the best one; that it stands there is noted."""
+    """Return the maximum of a tangent and of the tangent of ground of a height at a distance; store the ground if it is higher."""
     if not s > least * LEAST_NODES / NUDGE:
         return best
     theta = kappa * s

@@ -1,8 +1,8 @@
-"""What trees hide of the sky round a point: their quads, as far as the picture on them is opaque.
+"""The occlusion of the sky around a point by trees: by their quads, as far as the texture on them is opaque.
 
-The vertical plane of a direction cuts a quad in a straight piece, and a ray of the direction meets that piece in one place, which
-is leaf or gap as the alpha test says. The horizon is the highest leaf: the piece is looked through from its upper end downwards, in
-steps of a fourth of a texel, or of ``STEP`` where that is seen smaller.
+The vertical plane of a direction cuts a quad in a straight segment. A ray of the direction meets the segment in one point, where
+the alpha test decides between leaf and gap. The horizon is the highest leaf. The search runs along the segment from its upper end
+down, in steps of a quarter of a texel, or of ``STEP`` where that is larger.
 """
 
 from __future__ import annotations
@@ -19,13 +19,26 @@ from skugga.terrain.interpolation_loops import blend_corners, cell_before
 from skugga.terrain.trees.foliage import TEXTURE_PX, THRESHOLD, foliage
 
 STEP = 1e-4
-"""Steps of the tangent (0.006 degrees) in which far leaves are looked for."""
+"""Step of the tangent (0.006 degrees) in the search for distant leaves."""
 
 
 class SeenTrees(NamedTuple):
-    """Trees that rise above the eye's level, as the loop takes them: see ``TreeInstances``. ``enu_from_frame`` (3, 3) and
-    ``eye_frame`` (3,) place the eye among them; ``low`` and ``high`` (n,) are azimuths that a tree lies between, and ``steepest``
-    (n,) is a tangent that it stays below.
+    """Trees that rise above the eye's level, for compiled loops: see ``TreeInstances``.
+
+    Attributes
+    ----------
+    base, shape, turn, variant, curvature
+        As in ``TreeInstances``.
+    enu_from_frame
+        (3, 3): rotation from the frame to east, north and up.
+    eye_frame
+        (3,) metres: the eye in the frame.
+    low, high
+        (n,) degrees: azimuths that bound each tree.
+    steepest
+        (n,): upper bound of each tree's tangent above the eye's level.
+    alpha
+        Alpha of the trees' texture layers.
     """
 
     base: np.ndarray
@@ -42,7 +55,7 @@ class SeenTrees(NamedTuple):
 
 
 def seen_trees(instances: TreeInstances, enu_from_frame: np.ndarray, eye_frame_m: np.ndarray) -> SeenTrees:
-    """Trees with the eye that sees them; those below its level hide no sun that is up."""
+    """Return the trees that rise above an eye's level, with the eye. Trees below that level cannot hide a sun that is up."""
     enu_from_frame = np.ascontiguousarray(enu_from_frame)
     number, low, high, steepest = _rising(instances.base_frame_m, instances.shape, enu_from_frame, eye_frame_m)
     return SeenTrees(
@@ -53,7 +66,7 @@ def seen_trees(instances: TreeInstances, enu_from_frame: np.ndarray, eye_frame_m
 
 @compiled
 def _rising(base, shape, turn, origin):
-    """The trees that rise above the eye's level: their numbers, and the azimuths and the tangent that bound them."""
+    """Return the indices of trees that rise above the eye's level, with bounds of their azimuths and tangents."""
     number = np.empty(len(base), np.int64)
     bounds = np.empty((3, len(base)))
     count = 0
@@ -76,14 +89,12 @@ def _rising(base, shape, turn, origin):
 
 
 def highest_leaves(trees: SeenTrees, directions: Directions, found: Sighting) -> None:
-    """Put into ``found`` the leaves that stand higher towards directions."""
+    """Replace entries of ``found`` by leaves with larger tangents towards directions."""
     _sight_trees(trees, directions, found.tangent, True, found)
 
 
 def nearest_leaves(trees: SeenTrees, directions: Directions, tangent: np.ndarray, found: Sighting) -> None:
-    """Put into ``found`` the leaves in the way of rays towards directions, of ``tangent`` (n,) above the eye's level, that are
-    nearer than what is there.
-    """
+    """Replace entries of ``found`` by nearer leaves that rays meet, with ``tangent`` (n,) above the eye's level."""
     _sight_trees(trees, directions, tangent, False, found)
 
 
@@ -99,7 +110,7 @@ def _sight_trees(trees, directions, tangent, highest, found):
         ready = False
         for k in range(begin, end):
             n = k % count
-            if trees.steepest[m] <= tangent[n]:  # of the highest leaves, ``tangent`` is that of the best so far
+            if trees.steepest[m] <= tangent[n]:  # in a search for the highest leaves, ``tangent`` is the largest so far
                 continue
             if not ready:
                 for q in range(3):
@@ -118,7 +129,7 @@ def _sight_trees(trees, directions, tangent, highest, found):
 
 @internal
 def _moved(turn, origin, x, y, z, out):
-    """East, north and up of a frame point from the eye."""
+    """Write a frame point as metres east, north and up from the eye."""
     x, y, z = x - origin[0], y - origin[1], z - origin[2]
     for d in range(3):
         out[d] = turn[d, 0] * x + turn[d, 1] * y + turn[d, 2] * z
@@ -126,7 +137,7 @@ def _moved(turn, origin, x, y, z, out):
 
 @internal
 def _sight_quad(quad, alpha, sine, cosine, tangent, highest, found, n, m):
-    """Look at one quad (its first corner, the side to the right and the side up) towards one direction."""
+    """Test one quad (its first corner, its side to the right and its side up) in one direction."""
     first, right, up = quad[0], quad[1], quad[2]
     beside = first[0] * cosine - first[1] * sine
     by_right, by_up = right[0] * cosine - right[1] * sine, up[0] * cosine - up[1] * sine
@@ -173,8 +184,8 @@ def _sight_quad(quad, alpha, sine, cosine, tangent, highest, found, n, m):
 
 @internal
 def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, found, n, m):
-    """Look through a piece of a quad from its upper end to its lower one, or to what is not above the best so far."""
-    if s0 < LEAST_AWAY_M or s1 < LEAST_AWAY_M:  # up to the vertical through the eye
+    """Search a segment of a quad for a leaf, from its upper end to its lower one or to the highest leaf so far."""
+    if s0 < LEAST_AWAY_M or s1 < LEAST_AWAY_M:  # clip at the vertical through the eye
         share = (LEAST_AWAY_M - s0) / (s1 - s0)
         u, v, z = u0 + share * (u1 - u0), v0 + share * (v1 - v0), z0 + share * (z1 - z0)
         if s0 < s1:
@@ -199,7 +210,7 @@ def _highest_leaf(alpha, u0, v0, s0, z0, u1, v1, s1, z1, found, n, m):
 
 @internal
 def _is_leaf(alpha, u, v):
-    """Whether a picture (h, w) is opaque at a place on a quad, as ``skugga.terrain.casters.rays.sample_alpha`` reads it."""
+    """Return whether a texture (h, w) is opaque at a position on a quad, as in ``skugga.terrain.casters.rays.sample_alpha``."""
     height, width = alpha.shape
     x = min(max(u * width - 0.5, 0.0), width - 1.0)
     y = min(max((1.0 - v) * height - 0.5, 0.0), height - 1.0)

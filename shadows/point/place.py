@@ -1,4 +1,4 @@
-"""A place on a level's ground, and the eye above it that looks at the sun."""
+"""A position on a level's ground, and the eye above it that looks at the sun."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from skugga.terrain.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class PointPlace:
-    """An eye over a level's ground.
+    """An eye above a level's ground.
 
     Attributes
     ----------
     x, y
-        Where it is, in the CRS of the ground's grid.
+        Coordinates in the CRS of the ground's grid.
     lon_deg, lat_deg
-        The same in degrees; ``None`` in a flat world.
+        Longitude and latitude in degrees; ``None`` in a flat world.
     row, col
         (Fractional) node of the ground's grid.
     ground_m, height_m
-        Height of the ground there, metres, and of the eye above it.
+        Height of the ground, metres, and of the eye above the ground.
     ellipsoid
-        What heights and degrees are counted on.
+        Ellipsoid of heights and degrees.
     eye_earth_m
         float64 (3,), the eye, earth-fixed.
     earth_from_enu
-        Rotation (3, 3) from east, north, up there to earth-fixed axes.
+        Rotation (3, 3) from local east, north, up to earth-fixed axes.
     """
 
     x: float
@@ -56,24 +56,38 @@ class PointPlace:
         return self.ground_m + self.height_m
 
     def in_enu(self, point_earth_m: np.ndarray) -> np.ndarray:
-        """Earth-fixed points (n, 3) as metres east, north and up from the eye."""
+        """Return earth-fixed points (n, 3) as metres east, north and up from the eye."""
         return (point_earth_m - self.eye_earth_m) @ self.earth_from_enu
 
 
 POINT = "point"
-"""What errors call coordinates without ground."""
+"""The name of the coordinates in errors."""
 
 
 MAX_COORDINATE = 1e9
-"""As of bounds: nodes are counted in whole numbers."""
+"""Upper bound of coordinates, as of bounds: nodes are counted in integers."""
 
 
 def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, height_m: float = 0.0) -> PointPlace:
-    """The place of coordinates: longitude and latitude (east and north metres from the middle of a flat world), or x and y of a
-    CRS.
+    """Return the place at coordinates.
 
-    Its ground is that which casts: the triangles, or the tops of columns, of ``skugga.terrain.ground``. Raises ``InputError`` for
-    coordinates that are off the level's data or for a height below 0 or above ``HIGHEST_EYE_M``.
+    Its ground is the ground that casts shadows: the triangles, or the tops of columns, of ``skugga.terrain.ground``.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    at
+        Longitude and latitude; in a flat world metres east and north of its centre; or x and y of ``crs``.
+    crs
+        The CRS of ``at``, if it is another one.
+    height_m
+        Height of the eye above the ground, metres.
+
+    Raises
+    ------
+    InputError
+        The coordinates are off the level's data, or the height is below 0 or above ``HIGHEST_EYE_M``.
     """
     if not 0.0 <= height_m <= HIGHEST_EYE_M:
         raise InputError("height", height_m, f"0 to {HIGHEST_EYE_M:.0f} metres above the ground")
@@ -84,7 +98,7 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
         raise InputError(POINT, f"{at[0]:.10g},{at[1]:.10g}", allowed)
     row, col = (float(v) for v in ground.node_of(x, y))
     ground_m, there = ground.ground_at(row, col)
-    if not there or not np.isfinite(ground_m):  # nearest to a node beside the raster, or in a hole
+    if not there or not np.isfinite(ground_m):  # the nearest node is outside of the raster or in a hole
         ground_m = float(scene.elevation.ground_m(*_in_raster(scene, ground, x, y)))
         there = bool(np.isfinite(ground_m))
     if not there:
@@ -100,7 +114,7 @@ def place_at(scene: Scene, at: tuple[float, float], crs: CRS | None = None, heig
 
 
 def _on_grid(scene: Scene, ground: PagedRelief, at: tuple[float, float], crs: CRS | None) -> tuple[float, float]:
-    """Coordinates in the CRS of the ground's grid."""
+    """Return coordinates in the CRS of the ground's grid."""
     if scene.world.flat and crs is None:
         return scene.place.xy(at)
     if crs is not None:
@@ -122,7 +136,7 @@ def _in_raster(scene: Scene, ground: PagedRelief, x: float, y: float) -> tuple[f
 
 
 def _allowed_places(scene: Scene, at: tuple[float, float], crs: CRS | None) -> str:
-    """What is allowed in place of coordinates without ground. Within the bounds it is the raster that has no height there."""
+    """Return the phrase for the allowed coordinates. Within the level's bounds the raster has no height at these."""
     if scene.world.flat or scene.bounds_lon_lat is None:
         return "a place on the level's data"
     west, south, east, north = scene.bounds_lon_lat

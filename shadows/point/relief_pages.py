@@ -1,9 +1,8 @@
-"""The ground round a point, in pages that are read when a line of sight has to know them.
+"""The ground around a point, in pages that are read when a line of sight needs them.
 
-A page is 256 quads a side of the raster's own nodes (or, of ``surface: blocks``, cells), or of every second, fourth ... one where
-the ground is far away: the detail by distance is that of ``skugga.terrain.casters.reach``. Of every page an upper bound of its
-ground is known from the raster's overview without reading it, and of a page that was read the highest ground of each 16 quads a
-side.
+A page is 256 quads a side of the raster's own nodes (or, for ``surface: blocks``, cells). Far ground uses every second, fourth ...
+node; ``skugga.terrain.casters.reach`` defines the level of detail by distance. The raster's overview gives an upper bound for
+every page without reading it. A page in memory also holds the maximum of each tile of 16 quads a side.
 """
 
 from __future__ import annotations
@@ -24,30 +23,34 @@ from skugga.terrain.ground.surface import Surface
 from skugga.terrain.scene import Scene
 
 TILE_QUADS = 16
-"""Quads a side of the smallest pieces of a page whose highest ground is known."""
+"""Quads a side of a tile, the smallest part of a page whose maximum is stored."""
 
 PAGE_TILES = PATCH_QUADS // TILE_QUADS
 
 MAX_PAGES = 1024
-"""Pages of a ground that are kept, 0.26 MB each: where a point needs more, the others are forgotten when the next one asks."""
+"""Maximum number of pages in the cache, 0.26 MB each. A point may need more; the next request then empties the cache."""
 
 
 @dataclass(eq=False)
 class PagedLevel:
-    """The ground at one detail: every 2**``level``-th node of a grid.
+    """The ground at one level of detail: every 2**``level``-th node of a grid.
 
     Attributes
     ----------
+    level
+        Level of detail.
     bound_m
-        float32 (m, n): no ground of a page lies higher; -inf where there is none.
+        float32 (m, n): upper bound of each page's heights; -inf without ground.
     first_row, first_col
         The page of ``bound_m[0, 0]``, counted from the grid's origin.
     number
-        int32 (m, n): a page's number in ``height_m`` and ``high_m``; -1 where it was not read.
-    height_m, high_m
-        float32 (pages, 257, 257), NaN where there is no ground, and the highest of each ``TILE_QUADS`` (pages, 16, 16).
+        int32 (m, n): index of each page in ``height_m`` and ``high_m``; -1 if it is not read.
+    height_m
+        float32 (pages, 257, 257): heights; NaN without ground.
+    high_m
+        float32 (pages, 16, 16): the maximum of each tile.
     pages
-        How many were read.
+        Number of pages that are read.
     """
 
     level: int
@@ -60,7 +63,7 @@ class PagedLevel:
     pages: int = 0
 
     def put(self, row: int, col: int, height_m: np.ndarray) -> None:
-        """Keep the ground of a page."""
+        """Store the heights of a page."""
         if self.pages == len(self.height_m):
             room = max(2 * self.pages, 16)
             self.height_m, self.high_m = _grown(self.height_m, room), _grown(self.high_m, room)
@@ -72,7 +75,7 @@ class PagedLevel:
 
 @dataclass(eq=False)
 class KeptPages:
-    """What is kept of a ground: its grid and the pages read so far, by detail."""
+    """The cached pages of a ground: its grid, and the pages read so far by level of detail."""
 
     grid: Grid
     levels: dict[int, PagedLevel]
@@ -80,7 +83,7 @@ class KeptPages:
 
 @dataclass(frozen=True, eq=False)
 class PagedRelief:
-    """A level's ground by detail. ``grid`` is of its nodes, of the finest detail."""
+    """A level's ground by level of detail. ``grid`` holds the nodes of the finest one."""
 
     world: World
     elevation: Elevation
@@ -98,7 +101,7 @@ class PagedRelief:
         return step_at_anchor_m(self.world, self.grid)
 
     def level(self, level: int) -> PagedLevel:
-        """The ground at one detail."""
+        """Return the ground at one level of detail."""
         if level not in self.levels:
             bound, first_row, first_col = _bounds(self, level)
             side, empty = PATCH_QUADS + 1, np.full(bound.shape, -1, np.int32)
@@ -107,21 +110,24 @@ class PagedRelief:
         return self.levels[level]
 
     def read(self, level: int, wanted: np.ndarray) -> None:
-        """Read those pages of a detail that are ``wanted``, bool (m, n)."""
+        """Read the pages of a level of detail that are True in ``wanted``, bool (m, n)."""
         pages, side = self.level(level), PATCH_QUADS + 1
         for row, col in zip(*np.nonzero(wanted & (pages.number < 0)), strict=True):
             first = (row + pages.first_row) * PATCH_QUADS, (col + pages.first_col) * PATCH_QUADS
             pages.put(row, col, self.nodes(level, *first, side, side))
 
     def nodes(self, level: int, row0: int, col0: int, rows: int, cols: int) -> np.ndarray:
-        """Heights (rows, cols) of nodes, or of the columns of cells, of a detail."""
+        """Return heights (rows, cols) of the nodes, or of the columns, of a level of detail."""
         if self.blocks:
             return Columns(self.world, self.elevation, level).heights(row0, col0, rows, cols)[0]
         surface = Surface(self.world, self.elevation, self.grid.coarser(level))
         return surface.height_window(row0, col0, rows, cols).height_m
 
     def node_of(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """(Fractional) rows and columns of coordinates in the grid's CRS; of longitudes those nearest to the raster's middle."""
+        """Return (fractional) rows and columns of coordinates in the grid's CRS.
+
+        Longitudes wrap to those nearest to the raster's centre.
+        """
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         if self.grid.crs.is_geographic:
             west, _, east, _ = self.elevation.bounds
@@ -129,8 +135,9 @@ class PagedRelief:
         return self.grid.row(y), self.grid.col(x)
 
     def ground_at(self, row: float, col: float) -> tuple[float, bool]:
-        """Height of the ground at a (fractional) node, metres (NaN where there is none), and whether the picture shows it there: a
-        hole is filled, but not shown.
+        """Return the height of the ground at a (fractional) node, and whether a picture shows ground there.
+
+        The height is in metres; NaN without ground. A hole is filled, but not shown.
         """
         near_row, near_col = int(np.floor(row + 0.5)), int(np.floor(col + 0.5))
         if self.blocks:
@@ -141,14 +148,14 @@ class PagedRelief:
         window = Surface(self.world, self.elevation, self.grid).height_window(row0, col0, 2, 2)
         there = bool(window.there[near_row - row0, near_col - col0])
         nw, ne, sw, se = (float(v) for v in window.height_m.ravel())
-        if fr == 0.0 or fc == 0.0:  # on a line between two nodes: others may be missing
+        if fr == 0.0 or fc == 0.0:  # on an edge between two nodes: the other two may be NaN
             end, share = (sw, fr) if fc == 0.0 else (ne, fc)
             return nw + share * (end - nw) if share else nw, there
         return float(quad_height(nw, ne, sw, se, fr, fc)), there
 
 
 def paged_relief(scene: Scene) -> PagedRelief:
-    """The ground of a level in pages; the same under every sun. Pages of earlier points are forgotten where they are too many."""
+    """Return the ground of a level in pages; it does not depend on the sun. Too many pages of earlier points are dropped."""
     kept = _kept_pages(scene.world, scene.elevation, scene.map_crs)
     if sum(pages.pages for pages in kept.levels.values()) > MAX_PAGES:
         kept.levels.clear()
@@ -157,7 +164,7 @@ def paged_relief(scene: Scene) -> PagedRelief:
 
 @cached("scene", 1024 * MIB, size_of=lambda _: MAX_PAGES * MIB // 4)
 def _kept_pages(world: World, elevation: Elevation, map_crs: CRS) -> KeptPages:
-    """The pages of a ground: they are read, and so grow, as points need them."""
+    """Return the pages of a ground; more are read, and stored there, as points need them."""
     if elevation.upright:
         return KeptPages(Columns(world, elevation, 0).grid, {})
     west, south, east, north = elevation.bounds
@@ -169,7 +176,7 @@ def _kept_pages(world: World, elevation: Elevation, map_crs: CRS) -> KeptPages:
 
 
 def detail_ends(farthest_nodes: float) -> list[tuple[float, float]]:
-    """By detail: from where to where it is looked at, in nodes of the finest one, up to a distance."""
+    """Return the range of distances of each level of detail, in nodes of the finest one, up to a distance."""
     ends, near, far = [], 0.0, float(FULL_DETAIL_NODES)
     while near < farthest_nodes:
         ends.append((near, far))
@@ -178,10 +185,10 @@ def detail_ends(farthest_nodes: float) -> list[tuple[float, float]]:
 
 
 def _bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]:
-    """Upper bounds float32 (m, n) of the heights of a detail's pages, and the first page's row and column."""
+    """Return upper bounds float32 (m, n) of the heights of pages, and the row and column of the first page."""
     row, col, half = overview_on_grid(ground.world, ground.elevation, ground.grid)
     high = ground.elevation.overview.high_m
-    holes = FILL_CELLS * 2**level if np.isnan(high).any() else 0  # ground fills them from their rims
+    holes = FILL_CELLS * 2**level if np.isnan(high).any() else 0  # holes are filled from their rims
     known = np.isfinite(high) & np.isfinite(row) & np.isfinite(col)
     row, col, half, high = row[known], col[known], half[known] + holes + 2**level, high[known]
     side = PATCH_QUADS * 2**level
@@ -195,14 +202,14 @@ def _bounds(ground: PagedRelief, level: int) -> tuple[np.ndarray, int, int]:
             np.maximum.at(bound, (np.minimum(top + down, bottom) - first_row, np.minimum(left + aside, right) - first_col), high)
     if not turn:
         return bound, first_row, first_col
-    reach = int(np.ceil(turn)) + 1  # round the earth: a turn more to either side, with the highest of all
+    reach = int(np.ceil(turn)) + 1  # all round the earth: one turn more to either side, bounded by the overall maximum
     wide = np.full((bound.shape[0], bound.shape[1] + 2 * reach), high.max(), np.float32)
     wide[:, reach:-reach] = np.where(np.isfinite(bound), bound, high.max())
     return wide, first_row, first_col - reach
 
 
 def _columns_of_a_turn(ground: PagedRelief) -> float:
-    """Nodes after which a ground that goes all round the earth meets itself; 0 where it does not."""
+    """Return the nodes in 360 degrees of a ground that spans the whole earth; 0 for all others."""
     west, _, east, _ = ground.elevation.bounds
     if not ground.grid.crs.is_geographic or east - west < 360.0 - 1.5 * ground.grid.step:
         return 0.0
@@ -210,7 +217,7 @@ def _columns_of_a_turn(ground: PagedRelief) -> float:
 
 
 def _grown(array: np.ndarray, room: int) -> np.ndarray:
-    """The array with more room for pages."""
+    """Return a copy of an array with room for more pages."""
     grown = np.empty((room, *array.shape[1:]), array.dtype)
     grown[: len(array)] = array
     return grown
@@ -218,7 +225,7 @@ def _grown(array: np.ndarray, room: int) -> np.ndarray:
 
 @compiled
 def _highest(height):
-    """The highest (16, 16) of a page's nodes (257, 257) by tile, their borders included; -inf where there is none."""
+    """Return the maximum (16, 16) of a page's nodes (257, 257) by tile, with the tiles' borders; -inf without ground."""
     out = np.empty((PAGE_TILES, PAGE_TILES), np.float32)
     out[:] = -np.inf
     for i in range(height.shape[0]):
@@ -234,8 +241,9 @@ def _highest(height):
 
 @compiled
 def quad_height(nw, ne, sw, se, fr, fc):
-    """Height at a share of the way south and east of a quad, cut along its higher diagonal (``skugga.terrain.ground.sheet``); NaN
-    beside its triangles.
+    """Return the height at a share of the way south and east of a quad; NaN outside of its triangles.
+
+    The quad is cut along its higher diagonal (``skugga.terrain.ground.sheet``).
     """
     rising = ne + sw
     if nw + se > rising or np.isnan(rising):

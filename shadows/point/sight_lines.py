@@ -1,13 +1,13 @@
-"""Lines of sight from a point: where the vertical plane of an azimuth crosses the ground's grid, and how the earth curves away.
+"""Lines of sight from a point: their positions on the ground's grid, and the earth's curvature along them.
 
-A line is the geodesic of its azimuth on the ellipsoid, which leaves the vertical plane by less than a millimetre in 100 km. It
-bends away from the tangent plane as the circle of the ellipsoid's radius in that azimuth does (Euler's formula,
-1/R = cos^2 A / M + sin^2 A / N): after 100 km that is right to 0.1 m, a ten-millionth of a radian.
+A line is the geodesic of its azimuth on the ellipsoid. It leaves the vertical plane by up to 14 mm in 100 km. It drops below the
+tangent plane like a circle with the ellipsoid's radius in that azimuth (Euler's formula, 1/R = cos^2 A / M + sin^2 A / N). After
+100 km the drop is accurate to 0.1 m, a millionth of a radian (0.04 m at the latitudes from 0 to 80).
 
-Where a line runs on the grid is computed exactly for ``SPOKES`` azimuths and a few distances. Between azimuths it is the
-trigonometric polynomial through them: a map's distortion grows with powers of the distance over the earth's radius, one harmonic a
-power. Where that does not do, at a pole of a grid in degrees, every azimuth is computed. Between distances a line is straight on
-the grid: they grow by an eighth, so that it lies aside by a few hundred-thousandths of its distance at most.
+The positions on the grid are exact for ``SPOKES`` azimuths and a few distances. Between these azimuths they follow the
+trigonometric polynomial through them: a map's distortion grows with powers of the distance over the earth's radius, one harmonic
+per power. This fails at a pole of a grid in degrees, where every azimuth is computed. Between distances a line is straight on the
+grid. The distances grow by an eighth, so it is off by at most a few hundred-thousandths of its distance.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, is_longitude_lat
 from skugga.terrain.ground.elevation import Elevation
 
 FIRST_M, GROWTH = 500.0, 1.125
-"""The first distance at which lines are placed, and how these grow."""
+"""The first distance of the lines' positions, and the factor from one to the next."""
 
 SPOKES, HARMONICS = 20, 8
-"""Azimuths whose lines are placed exactly, and how many terms those between them have."""
+"""Number of azimuths with exact positions, and of harmonics between them."""
 
 SPOKES_ERROR = 1e-3
-"""Nodes by which the highest harmonics may move a line; else each is placed by itself."""
+"""Tolerance in nodes for the highest harmonics; beyond it every line is computed exactly."""
 
 
 @dataclass(frozen=True, eq=False)
 class SightLines:
-    """Lines towards n azimuths, at k distances.
+    """Lines of sight towards n azimuths, at k distances.
 
     Attributes
     ----------
     azimuth_deg
-        (n,) clockwise from true north (in a flat world from grid north).
+        (n,), clockwise from true north (in a flat world from grid north).
     distance_m
-        (k,) along the ground at height 0, from 0 on.
+        (k,): along the ground at height 0, from 0 on.
     row, col
-        (n, k) nodes of the ground's grid.
+        (n, k): nodes of the ground's grid.
     curvature
-        (n,) one over the earth's radius in metres; 0 in a flat world.
+        (n,): 1 / the earth's radius in metres; 0 in a flat world.
     """
 
     azimuth_deg: np.ndarray
@@ -58,7 +58,7 @@ class SightLines:
 
 
 def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray, farthest_m: float) -> SightLines:
-    """The lines from a place towards azimuths (n,), up to a distance, or up to where the grid's CRS ends."""
+    """Return the lines from a place towards azimuths (n,), up to a distance, or to the edge of the grid's CRS."""
     count = max(int(np.ceil(np.log(max(farthest_m / FIRST_M, 1.0)) / np.log(GROWTH))), 1)
     distance = np.concatenate([[0.0], FIRST_M * GROWTH ** np.arange(count + 1)])
     if ground.world.flat:
@@ -76,7 +76,15 @@ def sight_lines(ground: PagedRelief, place: PointPlace, azimuth_deg: np.ndarray,
 
 @dataclass(frozen=True, eq=False)
 class Spokes:
-    """The trigonometric polynomials (m, 2 k) of rows and columns at k distances, and whether they tell lines between the spokes."""
+    """Trigonometric polynomials in the azimuth for rows and columns at k distances.
+
+    Attributes
+    ----------
+    real, imaginary
+        (m, 2 k): coefficients.
+    smooth
+        Whether they are accurate between the spokes.
+    """
 
     real: np.ndarray
     imaginary: np.ndarray
@@ -85,7 +93,7 @@ class Spokes:
 
 @cached("scene", 4 * MIB)
 def _spokes(world: World, elevation: Elevation, grid: Grid, place: PointPlace, count: int) -> Spokes:
-    """The spokes of a place, as far as the grid's CRS goes; kept, since a report looks from one place several times."""
+    """Return the spokes of a place, up to the edge of the grid's CRS. They are cached: a report uses one place several times."""
     distance = np.concatenate([[0.0], FIRST_M * GROWTH ** np.arange(count + 1)])
     nodes = _globe_nodes(grid, place, np.arange(SPOKES) * (360.0 / SPOKES), distance)
     known = np.isfinite(nodes).all(axis=(0, 2))
@@ -104,7 +112,7 @@ def _flat_nodes(
 
 
 def _globe_nodes(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
-    """Rows and columns (n, k, 2) at distances (k,) towards azimuths (n,); NaN beyond the end of the grid's CRS."""
+    """Return rows and columns (n, k, 2) at distances (k,) towards azimuths (n,); NaN beyond the edge of the grid's CRS."""
     azimuth, distance = (v.ravel() for v in np.broadcast_arrays(azimuth_deg[:, None], distance_m))
     lon, lat, _ = place.ellipsoid.fwd(np.full(azimuth.size, place.lon_deg), np.full(azimuth.size, place.lat_deg), azimuth, distance)
     x, y = np.asarray(lon), np.asarray(lat)
@@ -120,7 +128,7 @@ def _globe_nodes(grid: Grid, place: PointPlace, azimuth_deg: np.ndarray, distanc
 
 
 def _curvature(place: PointPlace, azimuth_deg: np.ndarray) -> np.ndarray:
-    """One over the ellipsoid's radius (n,) in vertical planes."""
+    """Return the ellipsoid's curvature (n,), 1 / metres, in vertical planes at azimuths (n,)."""
     assert place.lat_deg is not None
     a, es = place.ellipsoid.a, place.ellipsoid.es
     root = 1.0 - es * np.sin(np.radians(place.lat_deg)) ** 2
@@ -131,7 +139,7 @@ def _curvature(place: PointPlace, azimuth_deg: np.ndarray) -> np.ndarray:
 
 @compiled
 def _between_spokes(real, imaginary, azimuth):
-    """Values (n, k) of trigonometric polynomials with terms (m, k) at azimuths (n,) in radians."""
+    """Return the values (n, k) of trigonometric polynomials with coefficients (m, k) at azimuths (n,) in radians."""
     out = np.empty((len(azimuth), real.shape[1]))
     for n in range(len(azimuth)):
         for k in range(real.shape[1]):

@@ -1,7 +1,7 @@
-"""What triangles, as those of buildings and models, hide of the sky round a point.
+"""The occlusion of the sky around a point by triangles, for example of buildings and models.
 
-The vertical plane of a direction cuts a triangle in a straight piece, whose ends lie on the triangle's edges. Seen from the point
-its angle is highest at one of its ends; and a ray of the direction meets the triangle if it passes between them.
+The vertical plane of a direction cuts a triangle in a straight segment, which ends on two of the triangle's edges. Its elevation
+angle is largest at one end. A ray of the direction meets the triangle if it passes between the ends.
 """
 
 from __future__ import annotations
@@ -14,12 +14,20 @@ from skugga.shadows.point.directions import Directions, ends_towards
 from skugga.terrain.compiled import compiled, internal
 
 LEAST_AWAY_M = 1e-6
-"""What is nearer than this to the vertical through the point is as far away."""
+"""Minimum distance in metres from the vertical through the eye; nearer segments are clipped there."""
 
 
 class Sighting(NamedTuple):
-    """What is met towards directions (n,): its tangent above the eye's level, its distance in metres (inf: nothing) and its number
-    (-1: nothing).
+    """The object seen in each direction (n,).
+
+    Attributes
+    ----------
+    tangent
+        (n,): tangent of its elevation angle above the eye's level.
+    distance
+        (n,) metres; inf without an object.
+    number
+        (n,): index of the object; -1 without one.
     """
 
     tangent: np.ndarray
@@ -28,21 +36,22 @@ class Sighting(NamedTuple):
 
 
 def nothing_sighted(count: int, tangent: float = -np.inf) -> Sighting:
-    """No sighting towards so many directions."""
+    """Return a sighting without objects, in so many directions."""
     return Sighting(np.full(count, tangent), np.full(count, np.inf), np.full(count, -1, np.int64))
 
 
 def highest_solids(point_enu_m: np.ndarray, triangles: np.ndarray, directions: Directions, found: Sighting) -> None:
-    """Put into ``found`` what of triangles (m, 3) of points (k, 3), metres east, north and up from the eye, stands higher."""
+    """Replace entries of ``found`` by triangles (m, 3) of points (k, 3) with larger tangents towards directions.
+
+    The points are in metres east, north and up from the eye.
+    """
     _sight_triangles(point_enu_m, triangles, directions, found.tangent, True, found)
 
 
 def nearest_solids(
     point_enu_m: np.ndarray, triangles: np.ndarray, directions: Directions, tangent: np.ndarray, found: Sighting
 ) -> None:
-    """Put into ``found`` what of triangles stands in the way of rays towards directions, of ``tangent`` (n,) above the eye's level,
-    nearer than what is there.
-    """
+    """Replace entries of ``found`` by nearer triangles that rays meet, with ``tangent`` (n,) above the eye's level."""
     _sight_triangles(point_enu_m, triangles, directions, tangent, False, found)
 
 
@@ -74,21 +83,21 @@ def _sight_triangles(point, triangles, directions, tangent, highest, found):
 
 @internal
 def azimuth_of(p):
-    """Azimuth in degrees, in [0, 360), of a point (east, north, ...)."""
+    """Return the azimuth in degrees, in [0, 360), of a point (east, north, ...)."""
     angle = np.degrees(np.arctan2(p[0], p[1])) % 360.0
     return angle if angle < 360.0 else 0.0
 
 
 @internal
 def _inside(a, b, c):
-    """Whether the vertical through the eye meets a triangle, or nearly so."""
+    """Return whether the vertical through the eye meets a triangle, or nearly does."""
     ab, bc, ca = a[0] * b[1] - a[1] * b[0], b[0] * c[1] - b[1] * c[0], c[0] * a[1] - c[1] * a[0]
     return (ab >= 0.0 and bc >= 0.0 and ca >= 0.0) or (ab <= 0.0 and bc <= 0.0 and ca <= 0.0)
 
 
 @internal
 def _sight(a, b, c, sine, cosine, tangent, highest, found, n, m):
-    """Look at one triangle towards one direction."""
+    """Test one triangle in one direction."""
     met = 0
     s0 = z0 = s1 = z1 = 0.0
     for k in range(3):
@@ -110,7 +119,7 @@ def _sight(a, b, c, sine, cosine, tangent, highest, found, n, m):
 
 @internal
 def sight_piece(s0, z0, s1, z1, tangent, highest, found, n, m):
-    """Look at a straight piece of the plane of a direction, from one distance and height above the eye to another."""
+    """Test a straight segment in the plane of a direction, from one distance and height above the eye to another."""
     if s0 > s1:
         s0, z0, s1, z1 = s1, z1, s0, z0
     if s1 <= LEAST_AWAY_M:

@@ -1,6 +1,6 @@
-"""Where the sun stands at a point: the one direction that it has for all of a level, by the point's own axes.
+"""The sun's direction at a point, in the point's own axes. A level has one direction to the sun.
 
-Refraction is the anchor's, as everywhere (``skugga.terrain.geo.sun``), so that a point agrees with its level's masks.
+Refraction is that of the level's anchor, as everywhere (``skugga.terrain.geo.sun``), so that points and masks agree.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import numpy as np
 
 from skugga.shadows.point.place import PointPlace
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.sun import position_at
 from skugga.terrain.geo.sun_path import sun_path
 from skugga.terrain.geo.world import World
@@ -17,18 +17,19 @@ from skugga.terrain.scene import Scene
 
 
 def sun_directions(world: World, utc_s: np.ndarray) -> np.ndarray:
-    """Earth-fixed unit vectors (n, 3) towards the sun, refracted, at seconds since 1970, UTC.
+    """Return earth-fixed unit vectors (n, 3) towards the sun, refracted, at UTC seconds since 1970.
 
-    Raises ``InputError`` off the earth, and for years for which no sun is computed.
+    Raises ``InputError`` off the earth, and for years outside of the sun's ephemeris.
     """
     if world.off_earth is not None:
-        raise InputError("time", "a time or a day", f"azimuth and altitude: {world.off_earth}")
+        raise InputError("time", Problem(f"a time gives no sun, since {world.off_earth}"), "Use azimuth and altitude")
     return _directions(world, np.asarray(utc_s, np.float64))
 
 
 def sun_looks(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Seconds (n,) from one moment to another, every so often and at the end, and the sun's directions (n, 3) then; the last ones
-    are kept, since all points of a level share them. Raises as ``sun_directions``.
+    """Return UTC seconds (n,) in even steps and at the end of a time span, and the sun's directions (n, 3).
+
+    The last results are cached, since all points of a level share them. Raises as ``sun_directions``.
     """
     if world.off_earth is not None:
         sun_directions(world, np.zeros(0))
@@ -42,13 +43,13 @@ def _looks(world: World, begin_s: float, end_s: float, step_s: float) -> tuple[n
 
 
 def angles_at(place: PointPlace, to_sun_earth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuths and altitudes (n,) in degrees of directions (n, 3), by the axes of a place."""
+    """Return azimuths and altitudes (n,) in degrees of earth-fixed directions (n, 3) at a place."""
     east, north, up = (to_sun_earth @ place.earth_from_enu).T
     return np.degrees(np.arctan2(east, north)) % 360.0, np.degrees(np.arctan2(up, np.hypot(east, north)))
 
 
 def own_sun_at(scene: Scene, place: PointPlace) -> tuple[float, float] | None:
-    """Azimuth and altitude in degrees of the scene's own sun at a place; ``None`` without a sun."""
+    """Return azimuth and altitude in degrees of the scene's own sun at a place; ``None`` without a sun."""
     return None if scene.sun is None else position_at(scene.sun.to_sun_earth, place.earth_from_enu)
 
 

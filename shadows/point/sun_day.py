@@ -1,8 +1,8 @@
-"""A day's sun at a point: when it rises, when it clears what stands before it, and what does.
+"""A day's sun at a point: sunrise and sunset, the intervals of direct sun, and the occluders at their ends.
 
-The sun is the middle of its disc, refracted as everywhere in this engine, and up where it stands above the level plane through the
-point. It is looked at every ``STEP_S``; where it comes or goes between two looks, that is found to ``FINE_STEP_S``. Sun or
-shade of less than ``STEP_S`` may be missed.
+The sun is the centre of its disc, refracted as everywhere in this engine. It is up while it is above the level plane through the
+point. It is sampled every ``STEP_S``. Changes between two samples are located to ``FINE_STEP_S``. Sun or shade of less than
+``STEP_S`` may be missed.
 """
 
 from __future__ import annotations
@@ -23,8 +23,16 @@ COARSE_STEP_S = 300.0
 
 @dataclass(frozen=True)
 class SunlitInterval:
-    """Direct sun from ``begin`` to ``end``; what hid it before and hides it after: ``None`` where it rose or set over the level
-    horizon, or the day began or ended.
+    """An interval of direct sun.
+
+    Attributes
+    ----------
+    begin, end
+        Its times.
+    after
+        The caster that hides the sun before ``begin``; ``None`` at sunrise over the level horizon, or where the day begins.
+    before
+        The caster that hides the sun after ``end``; ``None`` at sunset over the level horizon, or where the day ends.
     """
 
     begin: datetime
@@ -34,7 +42,7 @@ class SunlitInterval:
 
     @property
     def hours(self) -> float:
-        """How long it lasts."""
+        """Duration in hours."""
         return (self.end - self.begin).total_seconds() / 3600.0
 
 
@@ -42,9 +50,28 @@ class SunlitInterval:
 class SunDay:
     """A day's sun at a point, from midnight to midnight by a clock.
 
-    ``sunrise`` and ``sunset`` are over the level horizon, ``None`` where the day has none; ``first_sun`` and ``last_sun`` are the
-    ends of direct sun, ``None`` without any. ``daylight_h`` is how long the sun is up, ``direct_h`` how long it shines on the
-    point, ``masked_h`` how long it is hidden meanwhile. ``remark`` says in words why something is ``None``.
+    Attributes
+    ----------
+    day
+        The date.
+    sunrise, sunset
+        Over the level horizon; ``None`` on a day without.
+    noon
+        The time of the sun's highest altitude.
+    noon_altitude_deg
+        That altitude.
+    first_sun, last_sun
+        The ends of direct sun; ``None`` without any.
+    daylight_h
+        Hours with the sun up.
+    direct_h
+        Hours of direct sun.
+    masked_h
+        Hours with the sun up, but hidden.
+    sunlit
+        The intervals of direct sun.
+    remark
+        The reason in words for a value of ``None``.
     """
 
     day: date
@@ -62,8 +89,9 @@ class SunDay:
 
 
 def sun_day(around: Surroundings, day: date, clock: tzinfo) -> SunDay:
-    """The sun of a day at a place. Raises ``InputError`` in a flat world, for years for which no sun is computed, and for a day
-    that the clock's calendar leaves out.
+    """Return the sun of a day at a place.
+
+    Raises ``InputError`` in a flat world, for years outside of the sun's ephemeris, and for a day that the clock's calendar skips.
     """
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_ends(day, clock))
     when, to_sun = sun_looks(around.scene.world, begin, end, STEP_S)
@@ -106,17 +134,17 @@ def _remark(up: np.ndarray, shines: bool, rises: int, sets: int) -> str | None:
     if not up.any():
         return "polar night: the sun stays below the level horizon all day"
     if up.all():
-        ending = "" if shines else ", but something stands before it all day"
+        ending = "" if shines else ", but terrain or objects hide it all day"
         return f"polar day: the sun does not set{ending}"
     if not shines:
-        return "the sun rises, but something stands before it all day"
+        return "the sun rises, but terrain or objects hide it all day"
     if not (rises and sets):
         return f"the sun does not {'set' if rises else 'rise'} on this day"
     return None
 
 
 def _crossings(when: np.ndarray, altitude_deg: np.ndarray, rising: bool) -> np.ndarray:
-    """When the altitude passes 0 upwards or downwards, linear between two looks."""
+    """Return the times at which the altitude crosses 0 upwards or downwards, linear between two samples."""
     up = altitude_deg > 0.0
     n = np.flatnonzero(up[1:] & ~up[:-1] if rising else ~up[1:] & up[:-1])
     share = altitude_deg[n] / (altitude_deg[n] - altitude_deg[n + 1])
@@ -124,14 +152,14 @@ def _crossings(when: np.ndarray, altitude_deg: np.ndarray, rising: bool) -> np.n
 
 
 def _length(when: np.ndarray, altitude_deg: np.ndarray, up: np.ndarray, rises: np.ndarray, sets: np.ndarray) -> float:
-    """Seconds for which the sun is up."""
+    """Return the seconds during which the sun is up."""
     begins = np.concatenate([[when[0]] if up[0] else [], rises])
     ends = np.concatenate([sets, [when[-1]] if up[-1] else []])
     return float(np.sum(ends - begins))
 
 
 def _top(when: np.ndarray, altitude_deg: np.ndarray, n: int) -> float:
-    """When the altitude is highest: the vertex of the parabola through three looks."""
+    """Return the time of the highest altitude: the vertex of the parabola through three samples."""
     if not 0 < n < len(when) - 1:
         return float(when[n])
     before, at, after = altitude_deg[n - 1 : n + 2]
@@ -147,7 +175,10 @@ def _refined(
     lit: np.ndarray,
     changes: np.ndarray,
 ) -> np.ndarray:
-    """When sun comes or goes, between looks ``changes`` and the following ones, seconds; the sun moves evenly between two looks."""
+    """Return the times, in seconds, at which direct sun begins or ends after each of the samples ``changes``.
+
+    The sun moves evenly between two samples.
+    """
     if not len(changes):
         return np.zeros(0)
     count = int(STEP_S / FINE_STEP_S)
@@ -157,7 +188,7 @@ def _refined(
     altitude = altitude_deg[changes, None] + share * (altitude_deg[changes + 1] - altitude_deg[changes])[:, None]
     fine = sun_reaches(around, azimuth.ravel(), altitude.ravel()).reshape(azimuth.shape)
     fine = np.concatenate([fine, lit[changes + 1, None]], axis=1)
-    first = np.argmax(fine != lit[changes, None], axis=1)  # of several, the first change
+    first = np.argmax(fine != lit[changes, None], axis=1)  # the first of several changes
     return when[changes] + (first + 0.5) / count * (when[changes + 1] - when[changes])
 
 
@@ -169,14 +200,16 @@ def _casters_beside(
     lit: np.ndarray,
     changes: np.ndarray,
 ) -> list[SunCaster | None]:
-    """What hides the sun on the dark side of each change."""
+    """Return the occluder of the sun on the dark side of each change."""
     dark = np.where(lit[changes], changes + 1, changes)
     return what_hides(around, azimuth_deg[dark], altitude_deg[dark]) if len(dark) else []
 
 
 def hours_between_looks(around: Surroundings, day: date, clock: tzinfo) -> float:
-    """Hours of direct sun of a day, from looks every ``COARSE_STEP_S`` alone: for many points, 2.5 minutes off at most at each
-    end of sun."""
+    """Return the hours of direct sun of a day from samples every ``COARSE_STEP_S`` alone.
+
+    This is for many points: each end of direct sun is off by at most 2.5 minutes.
+    """
     begin, end = (moment.astimezone(UTC).timestamp() for moment in day_ends(day, clock))
     _, to_sun = sun_looks(around.scene.world, begin + COARSE_STEP_S / 2, end, COARSE_STEP_S)
     azimuth, altitude = angles_at(around.place, to_sun[:-1])

@@ -1,8 +1,8 @@
 """Hours of sun of each day of a year at a point.
 
-The sun is looked at every ``YEAR_STEP_S``, and each look counts for as long. So an end of sun is up to half a step off; over a day
-such errors of the two ends mostly cancel out. Ground is that of the horizon every ``FINE_HORIZON_DEG``, linear between; buildings
-and trees are met by rays.
+The sun is sampled every ``YEAR_STEP_S``, and each sample counts for one step. So each end of direct sun is off by up to half a
+step; over a day the errors of the two ends mostly cancel. Ground is tested against the horizon every ``FINE_HORIZON_DEG``, linear
+between. Buildings and trees are tested by rays.
 """
 
 from __future__ import annotations
@@ -23,7 +23,17 @@ FINE_HORIZON_DEG = 0.1
 
 @dataclass(frozen=True, eq=False)
 class SunYear:
-    """Hours (n,) of each day of a year for which the sun is up, and shines on the point."""
+    """Hours of sun of each day of a year.
+
+    Attributes
+    ----------
+    days
+        The n dates.
+    daylight_h
+        (n,): hours with the sun up.
+    direct_h
+        (n,): hours of direct sun on the point.
+    """
 
     days: tuple[date, ...]
     daylight_h: np.ndarray
@@ -48,7 +58,7 @@ def sun_year(around: Surroundings, year: int, clock: tzinfo) -> SunYear:
 
 
 def _interpolated_relief_deg(around: Surroundings, azimuth_deg: np.ndarray) -> np.ndarray:
-    """The horizon by ground (n,) towards azimuths."""
+    """Return the horizon angle by ground (n,) towards azimuths, in degrees."""
     grid = np.arange(0.0, 360.0 + FINE_HORIZON_DEG / 2, FINE_HORIZON_DEG)
     tangent = relief_horizon(around.scene, around.place, grid).tangent
     return np.interp(azimuth_deg, grid, np.degrees(np.arctan(tangent)))

@@ -1,11 +1,11 @@
-"""Words and limits of questions about points."""
+"""Terms and limits of queries for points."""
 
 from __future__ import annotations
 
 from typing import Literal
 
 CasterType = Literal["relief", "building", "mesh", "forest"]
-"""What hides the sun."""
+"""The kinds of casters that hide the sun."""
 
 HIGHEST_EYE_M = 10_000.0
-"""Of an eye, above the ground."""
+"""Upper limit of the eye's height above the ground."""

@@ -1,6 +1,6 @@
-// A caster's point, projected onto the plane z = 0 and into the view; see shadows/planar.py.
+// Project a caster's point onto the plane z = 0 and into the view; shadows/planar.py derives it.
 uniform mat4 clip_from_caster;
-uniform float position_error;  // of float32, as a share of a position's largest coordinate
+uniform float position_error;  // float32 error, as a share of a position's largest coordinate
 
 vec4 projected(vec3 caster_m) {
     vec3 away = abs(caster_m);

@@ -1,1 +1,1 @@
-"""How long the sun is seen: `sun_hours`, spells of sun in daily windows, their crossing times found between steps."""
+"""Hours of sun: `sun_hours`, intervals of direct sun in daily windows, with their ends located between time steps."""

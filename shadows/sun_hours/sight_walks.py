@@ -1,11 +1,11 @@
-"""The horizon of single cells towards the sun between two of its steps, by walking over the ground that casts. Compiled loops.
+"""The horizon of single cells towards the sun between two time steps, by walks over the ground that casts shadows. Compiled loops.
 
-From a node a line is followed towards the sun, row by row of the grid, or column by column where it runs along these. It is held
-against the ground where it crosses rows, columns and the diagonals of quads: there the surface along it has its kinks, as in the
-line sweep (``skugga.shadows.sweep.lines``), so that the horizon is that of the very triangles that cast. Of a quad both diagonals
-count, for the lower one lies below the surface. Whole tiles are passed over whose highest node stays below the horizon found so far
-(maximum mipmaps: Tevs, Ihrke and Seidel 2008, of one level), and a line ends where it rises above all ground. The earth is round:
-a line of sight rises above the level by the square of its length.
+A walk follows a line from a node towards the sun, row by row of the grid, or column by column if it runs along these. The line is
+compared with the ground where it crosses rows, columns and the diagonals of quads. The surface has its kinks along the line there,
+as in the line sweep (``skugga.shadows.sweep.lines``), so the horizon is that of the triangles that cast shadows. Both diagonals of
+a quad are tested: the lower one lies below the surface. Whole tiles are skipped if their highest node stays below the horizon found
+so far (maximum mipmaps: Tevs, Ihrke and Seidel 2008, with one level). A line ends where it rises above all ground. The earth is
+round: a line of sight rises above the level with the square of its length.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ from skugga.terrain.ground.surface import NodeHeights
 from skugga.terrain.scene import Scene
 
 PASSED_TILE, PASSED_BLOCK = 8, 64
-"""Quads along a side of the tiles, and of the blocks of tiles, that are passed over."""
+"""Quads along a side of the tiles, and of the blocks of tiles, that a walk skips at once."""
 
 EARTH_BEND = 0.5 / EARTH_RADIUS_M
-"""By how much a level line of sight rises above the ground, per square metre of its length."""
+"""Height that a level line of sight gains above the ground, per square metre of its length."""
 
 FREE, FREE_TIMES = 0.02, 1.0
-"""Where the horizon lies lower than the sun by more than this tangent and so many times the step's change of altitude it is not
-looked for: what lies nearer decides.
+"""Tangent, and multiple of the step's change of altitude, whose sum bounds the search for a horizon below the sun.
+
+A lower horizon is not searched: nearer ground determines the crossing.
 """
 
 TRACK_TIMES = 3
@@ -41,10 +42,19 @@ TRACK_TIMES = 3
 
 
 class WalkedGround(NamedTuple):
-    """Heights of grids, the finest first, one behind the other: ``height`` and the highest of each tile and block, ``top``,
-    float32; of each grid in ``origin`` (k, 8) int64 where it and its tiles begin in these, its first row and column, its rows and
-    columns, how many of the finest one's nodes lead from one of its nodes to the next, and where its blocks begin; its ``highest``
-    (k,).
+    """Heights of grids, concatenated, the finest first.
+
+    Attributes
+    ----------
+    height
+        float32: the heights of all grids.
+    top
+        float32: the maxima of all tiles and blocks.
+    origin
+        int64 (k, 8), for each grid: its start in ``height`` and of its tiles in ``top``; its first row and column; its rows and
+        columns; its node distance in nodes of the finest grid; and the start of its blocks in ``top``.
+    highest
+        (k,): the maximum of each grid.
     """
 
     height: np.ndarray
@@ -54,12 +64,20 @@ class WalkedGround(NamedTuple):
 
 
 class SunTrack(NamedTuple):
-    """The sun between two moments ``begin`` and ``end``, minutes.
+    """The sun over the cells of a turned grid between two moments.
 
-    ``towards`` (3, TRACK_TIMES, 6) are quadratics over the cells of a turned grid, at both moments and midway between them: the
-    rows and the columns that a metre towards the sun leads on by, and the tangent of its altitude. ``cell`` (2, 3) int64 takes
-    turned places to rows and to columns of the grid: a first one, and what a turned row and a turned column add. ``last`` (2,) are
-    the last turned row and column, at least 1.
+    Attributes
+    ----------
+    begin, end
+        The two moments, minutes.
+    towards
+        (3, TRACK_TIMES, 6): quadratics over the cells, at both moments and midway between them. They give the rows and the columns
+        per metre towards the sun, and the tangent of the sun's altitude.
+    cell
+        int64 (2, 3): map from turned positions to rows and to columns of the grid: offset, step per turned row, step per turned
+        column.
+    last
+        (2,): the last turned row and column, at least 1.
     """
 
     begin: float
@@ -70,7 +88,7 @@ class SunTrack(NamedTuple):
 
 
 def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) -> WalkedGround:
-    """The ground of a block and of patches beside it."""
+    """Return the ground of a block and of patches beside it."""
     view, block = nodes.view, nodes.surface
     windows: dict[int, list[NodeHeights]] = {0: [block]}
     for detail in sorted({patch.level for patch in patches}):
@@ -100,7 +118,7 @@ def walked_ground(scene: Scene, nodes: BareNodes, patches: tuple[Patch, ...]) ->
 
 
 def _span(windows: list[NodeHeights]) -> tuple[int, int, int, int]:
-    """First row and column, rows and columns of what windows cover."""
+    """Return the first row and column, and the rows and columns, of the area that windows cover."""
     row0, col0 = min(w.row0 for w in windows), min(w.col0 for w in windows)
     return row0, col0, max(w.row0 + w.shape[0] for w in windows) - row0, max(w.col0 + w.shape[1] for w in windows) - col0
 
@@ -111,7 +129,7 @@ def _lay(window: NodeHeights, out: np.ndarray) -> None:
 
 
 def sun_track(day: WindowSun, nodes: BareNodes, world: World, turn: GridOrientation, ends: tuple[float, float]) -> SunTrack:
-    """The sun over a block's turned cells between two moments, minutes after the window's start."""
+    """Return the sun over a block's turned cells between two moments, minutes after the window's start."""
     view = nodes.view
     row, col = (values.ravel() for values in lattice_of(view))
     steps = np.array([[0.0, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
@@ -138,15 +156,16 @@ def sun_track(day: WindowSun, nodes: BareNodes, world: World, turn: GridOrientat
 
 @internal
 def free_tangent(ground, track, i, j, raised, minutes):
-    """By how much the tangent of the sun's altitude exceeds the horizon's, at a time, for a turned cell that looks from so
-    far above its node; and by how much the first grows a minute.
+    """Return by how much the tangent of the sun's altitude exceeds the horizon's, and the change of the first per minute.
+
+    They hold at a moment, for a turned cell seen from ``raised`` metres above its node.
     """
     cell, a = track.cell, track.towards
     row, col = cell[0, 0] + i * cell[0, 1] + j * cell[0, 2], cell[1, 0] + i * cell[1, 1] + j * cell[1, 2]
     y, x = i / track.last[0], j / track.last[1]
     span = track.end - track.begin
     u = (minutes - track.begin) / span
-    w0, w1, w2 = 2.0 * (u - 0.5) * (u - 1.0), -4.0 * u * (u - 1.0), 2.0 * u * (u - 0.5)  # through the three moments
+    w0, w1, w2 = 2.0 * (u - 0.5) * (u - 1.0), -4.0 * u * (u - 1.0), 2.0 * u * (u - 0.5)  # Lagrange weights of the three moments
     down = w0 * quadratic(a[0, 0], y, x) + w1 * quadratic(a[0, 1], y, x) + w2 * quadratic(a[0, 2], y, x)
     right = w0 * quadratic(a[1, 0], y, x) + w1 * quadratic(a[1, 1], y, x) + w2 * quadratic(a[1, 2], y, x)
     s0, s1, s2 = quadratic(a[2, 0], y, x), quadratic(a[2, 1], y, x), quadratic(a[2, 2], y, x)
@@ -158,8 +177,9 @@ def free_tangent(ground, track, i, j, raised, minutes):
 
 @compiled
 def horizon_tangent(ground, row, col, raised, down, right, least):
-    """The tangent of the horizon's angle above the level, seen from so far above a node, towards where a metre leads on by ``down``
-    rows and ``right`` columns; or ``least``, where that is more.
+    """Return the maximum of ``least`` and of the tangent of the horizon angle, seen from ``raised`` metres above a node.
+
+    The direction leads on by ``down`` rows and ``right`` columns per metre.
     """
     height, top, origin, highest = ground
     best = least
@@ -173,7 +193,7 @@ def horizon_tangent(ground, row, col, raised, down, right, least):
         begin, tile_begin, row0, col0 = origin[n, 0], origin[n, 1], origin[n, 2], origin[n, 3]
         rows, cols, side = origin[n, 4], origin[n, 5], origin[n, 6]
         block_begin, tiles, blocks = origin[n, 7], -(-(cols - 1) // PASSED_TILE), -(-(cols - 1) // PASSED_BLOCK)
-        # Places are counted along the line, and to the side that it leads to: mirrored where that is backwards.
+        # Positions are counted along the line and across it, mirrored where the line runs towards smaller indices.
         p, q = (
             forward * ((col / side - col0) if swapped else (row / side - row0)),
             beside * ((row / side - row0) if swapped else (col / side - col0)),
@@ -237,7 +257,7 @@ def horizon_tangent(ground, row, col, raised, down, right, least):
                         over = np.float64(height[at + 2 * to_q])
                         best = _steeper(best, over + share * (se - over), own, far + share * unit)
                 k, x = k + 1, x + slope
-        # The last row or column that a grid has: the line ends on it.
+        # The line ends on the last row or column of a grid.
         if (k > p) and 0 <= forward * k < count_p:
             c = int(np.floor(x))
             low, high = min(beside * c, beside * (c + 1)), max(beside * c, beside * (c + 1))
@@ -250,7 +270,7 @@ def horizon_tangent(ground, row, col, raised, down, right, least):
 
 @internal
 def _steeper(best, height, own, far):
-    """The larger one of a tangent and of that up to ground of a height so far away."""
+    """Return the maximum of a tangent and of the tangent up to ground of a height at the distance ``far``."""
     rise = height - own - EARTH_BEND * far * far
     return rise / far if rise > best * far else best
 

@@ -1,15 +1,16 @@
-"""Spells of sun, cell by cell: from clearances at moments to hours, first and last sun, and the longest spell. Compiled loops.
+"""Intervals of direct sun (spells) of each cell: from clearances at moments to hours, first and last sun, and the longest spell.
 
-A *clearance* says by how much a cell's sight of the sun is free: the sun is seen where it is no less than 0. Between two moments at
-which it has different signs it crosses 0 once. The line between the two is wrong, for what a cell is nearest to being shaded by
-changes: by day mostly its own neighbour, then a ridge far away. So the line through the two clearances before is drawn on, and the
-line through the two after, where they lead to a time between the moments (as essentially non-oscillatory schemes do). In shadow it
-is mostly the same ridge that shades, so that side counts more. Where neither line leads there, something new has come between the
-cell and the sun, or has gone, at a time that clearances hardly tell: least wrong is a time halfway from the direct line's to the
-middle.
+A *clearance* is the margin by which a cell sees the sun: it is sunlit if the clearance is at least 0. Between two moments with
+different signs the clearance crosses 0 once. Linear interpolation between them is inaccurate, since the nearest occluder changes:
+by day it is mostly the cell's own neighbour, then a distant ridge. So the line through the two clearances before is extrapolated,
+and the line through the two after. Each counts if it leads to a time between the moments (as in essentially non-oscillatory
+schemes). In shadow the occluder is mostly the same ridge throughout, so the shadow's side has more weight. Where neither line leads
+to such a time, a new occluder has appeared or an old one has gone. Clearances tell little about that time. The halfway time between
+direct interpolation and the middle has the smallest error.
 
-That is a first guess. Where steps are long it is mended: the horizon of the cell that crosses is looked for towards the sun of that
-moment (``skugga.shadows.sun_hours.sight_walks``), then by the rule of false position towards the next guess's sun, ``WALKS`` times.
+This is a first estimate. With long steps it is refined: a walk finds the cell's horizon towards the sun at that moment
+(``skugga.shadows.sun_hours.sight_walks``). The method of false position then gives the next moment, ``WALKS`` times at most. The
+loops are compiled.
 """
 
 from __future__ import annotations
@@ -26,30 +27,45 @@ from skugga.shadows.sweep.grid import GridOrientation, copy_into
 from skugga.terrain.compiled import compiled, internal, on_cores
 
 UNSHADED = np.float32(1e6)
-"""Clearance where nothing lies between a cell and the sun: how far it is from being shaded is not known."""
+"""Clearance without an occluder: its true value is unknown."""
 
 DARK_SHARE = 0.75
-"""How much the time counts that clearances in shadow lead to, where those in the sun lead to another one."""
+"""Weight of the time extrapolated from clearances in shadow, if those in the sun give another time."""
 
 BELOW_FLOOR = 0.002
-"""Sine below its floor, about a tenth of a degree, at which a sun's clearances say nothing: across a wide block it has long risen
-elsewhere, and level ground hides it. What is lit at the other moment is then lit from its rise, or until its set.
+"""Sine below the floor, about a tenth of a degree, at which clearances are meaningless.
+
+Across a wide block such a sun has long risen elsewhere, and level ground hides it. A cell that is sunlit at the other moment is
+then lit from its own sunrise, or until its own sunset.
 """
 
 WALKS = 3
-"""How many times a cell's horizon is looked for between two moments, at most."""
+"""Maximum number of walks to a cell's horizon between two moments."""
 
 NEAR_MIN = 1.0
-"""Minutes by which the last walk may move a crossing: what is left after it is a tenth of that."""
+"""Tolerance in minutes for the last correction of a crossing: the remaining error is a tenth of that."""
 
 BAND_ROWS = 128
-"""Rows that a thread works on at a time."""
+"""Rows that a thread processes at a time."""
 
 
 class Spells(NamedTuple):
-    """What is known of cells, float32 (n, m): ``since`` when the sun has been seen without a break, minutes from the window's
-    start (-1: it is not); the minutes of sun of the ``day``; the readings of the clock, minutes, at the ``first`` and ``last``
-    sun of any date (NaN: never) and the ``longest`` spell, minutes; the ``total`` minutes, and the ``days`` with enough sun.
+    """The sun of cells so far, float32 (n, m).
+
+    Attributes
+    ----------
+    since
+        Start of the current spell, minutes from the window's start; -1 in shade.
+    day
+        Minutes of sun of the current date.
+    first, last
+        Clock times of the first and the last sun of any date, minutes; NaN: never.
+    longest
+        The longest spell, minutes.
+    total
+        Minutes of sun of all complete dates.
+    days
+        Number of dates with enough sun.
     """
 
     since: np.ndarray
@@ -62,7 +78,17 @@ class Spells(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """What cells see between two moments: the ground that casts, the sun, and how far above their nodes the cells look from."""
+    """The occlusion of cells between two moments.
+
+    Attributes
+    ----------
+    ground
+        The ground that casts shadows.
+    track
+        The sun.
+    raised
+        Metres of the eyes above their nodes.
+    """
 
     ground: WalkedGround
     track: SunTrack
@@ -70,7 +96,17 @@ class Sight(NamedTuple):
 
 
 class ClockReading(NamedTuple):
-    """What a clock reads at a window's start, minutes from midnight, and when and by how much it is put forward (0: not)."""
+    """A clock during a window.
+
+    Attributes
+    ----------
+    start
+        Its time at the window's start, minutes from midnight.
+    change
+        Minutes after that start at which the clock is put forward.
+    by
+        Minutes by which it is put forward; 0: not at all.
+    """
 
     start: float
     change: float
@@ -79,8 +115,16 @@ class ClockReading(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """Clearances (n, m) float32 of cells at a time, minutes from the window's start, and by how much the sun stands over its floor
-    (in its altitude's sine) at the places of a lattice (k,).
+    """Clearances at a moment.
+
+    Attributes
+    ----------
+    minutes
+        The moment, minutes from the window's start.
+    clearance
+        float32 (n, m): clearances of the cells.
+    above
+        (k,): the sine of the sun's altitude less that of its floor, at the positions of a lattice.
     """
 
     minutes: float
@@ -89,19 +133,19 @@ class Moment:
 
 
 def no_spells(shape: tuple[int, int]) -> Spells:
-    """Of cells for which nothing was looked for yet."""
+    """Return the spells of cells before the first moment."""
     zeros = [np.zeros(shape, np.float32) for _ in range(4)]
     never = [np.full(shape, value, np.float32) for value in (-1.0, np.nan, np.nan)]
     return Spells(never[0], zeros[0], never[1], never[2], zeros[1], zeros[2], zeros[3])
 
 
 def turned_spells(spells: Spells, before: GridOrientation, after: GridOrientation) -> Spells:
-    """The same in the order of another turned grid."""
+    """Return spells in the order of another turned grid."""
     return Spells(*(turned_copy(values, before, after) for values in spells))
 
 
 def turned_copy(values: np.ndarray, before: GridOrientation, after: GridOrientation) -> np.ndarray:
-    """Values (n, m) of one turned grid in the order of another one."""
+    """Return values (n, m) of one turned grid in the order of another one."""
     there = after.turned(before.back(values))
     out = np.empty(there.shape, there.dtype)
     copy_into(there, out)
@@ -117,9 +161,10 @@ def add_between(
     sight: Sight | None,
     cores: int,
 ) -> None:
-    """Add what lies between the second and the third of four moments; ``begins``: no time before was looked at; ``fit`` as from
-    ``quadratic_fit``. ``sight`` is what cells see in between, where it is known. The first may be the second, and the fourth the
-    third, where there is no other.
+    """Add the sun between the second and the third of four moments.
+
+    The first may equal the second, and the fourth the third, at the ends of a span. ``begins`` marks the first step of a span.
+    ``fit`` is a ``quadratic_fit``. ``sight``, if given, refines the crossings.
     """
     before, here, there, after = moments
     times = np.array([moment.minutes for moment in moments])
@@ -135,19 +180,19 @@ def add_between(
 
 
 def end_spells(spells: Spells, minutes: float, clock: ClockReading) -> None:
-    """End the spells that last, at a time."""
+    """End all current spells at a moment."""
     _end(spells, minutes, clock)
 
 
 def end_day(spells: Spells, threshold_min: float) -> None:
-    """Add a date's minutes to all dates', and begin another one."""
+    """Add a date's minutes to the total, and begin the next date."""
     np.add(spells.total, spells.day, out=spells.total)
     np.add(spells.days, spells.day >= np.float32(threshold_min), out=spells.days, casting="unsafe")
     spells.day[:] = 0.0
 
 
 def clearances(level: np.ndarray, shade: np.ndarray, raised: float, out: np.ndarray, cores: int) -> np.ndarray:
-    """Clearances (n, m), as ``out`` after it is filled, of cells that are raised by so much above their levels."""
+    """Write to ``out`` (n, m), and return, the clearances of eyes ``raised`` above the cells' levels."""
 
     def band(rows: slice) -> None:
         _clear(level[rows], shade[rows], np.float32(raised), out[rows])
@@ -217,7 +262,7 @@ def _add(spells, before, here, there, after, times, floors, begins, floored, fir
 
 @internal
 def _crossing(before, e0, e1, after, times):
-    """When a clearance crosses 0 between the second and the third of four times."""
+    """Estimate when a clearance crosses 0 between the second and the third of four moments."""
     tb, t0, t1, ta = times[0], times[1], times[2], times[3]
     by_before = by_after = np.nan
     if tb < t0 and before < UNSHADED and e0 < UNSHADED and before != e0:
@@ -238,7 +283,7 @@ def _crossing(before, e0, e1, after, times):
 
 @internal
 def _walked(sight, i, j, lit0, crossing, t0, t1):
-    """When the sun passes a cell's horizon between two moments, from about when; it is lit at the first one or not."""
+    """Refine the estimate of when the sun passes a cell's horizon; ``lit0``: the cell is sunlit at the earlier moment."""
     low, high = t0, t1
     t, before, free_before = crossing, np.nan, np.nan
     for _ in range(WALKS):
@@ -264,7 +309,7 @@ def _read(clock, t):
 
 @internal
 def _close(spells, i, j, since, until, clock):
-    """End a spell of sun of a cell."""
+    """End a cell's spell of sun."""
     length = until - since
     if length <= 0.0:
         return

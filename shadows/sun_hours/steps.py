@@ -1,8 +1,8 @@
-"""How often the sun has to be looked for: as seldom as hours of sun stay right, which the ground of a block itself tells.
+"""The time step between samples of the sun: the longest for which a block's hours of sun remain accurate.
 
-From some cells, through one day, the horizon is looked for towards the sun minute by minute
-(``skugga.shadows.sun_hours.sight_walks``). That shows what longer steps would miss there: glances of sun through narrow gaps, and
-shadows of narrow things, that begin and end between two looks. Mountains have next to none; roofs and crowns have many.
+For some cells, walks find the horizon towards the sun for each minute of one day (``skugga.shadows.sun_hours.sight_walks``). They
+show what longer steps would miss: glimpses of sun through narrow gaps, and shadows of narrow objects, that begin and end between
+two samples. Mountains have almost none; roofs and tree crowns have many.
 """
 
 from __future__ import annotations
@@ -17,35 +17,38 @@ from skugga.terrain.gbuffer.bare_nodes import BareNodes
 from skugga.terrain.scene import Scene
 
 LONG_STEP_MIN, SHORT_STEP_MIN = 3.0, 1.0
-"""Minutes between two looks on ground that hides little in between, and on all other. Over 4.2 million cells the first takes less
-time than longer steps whose crossings are looked for on the ground, cell by cell, and its hours are right to a third of a minute.
+"""Minutes between two samples, on ground where long steps miss little, and on all other ground.
+
+Over 4.2 million cells, the long step takes less time than still longer steps with walks for every crossing. Its hours are accurate
+to a third of a minute.
 """
 
 SAMPLED_CELLS = 1000
-"""Cells of a block that are looked from."""
+"""Cells of a block that are tested."""
 
 TRACK_MIN = 15
-"""Minutes over which the sun's way is taken for a parabola."""
+"""Minutes during which the sun's path is approximated by a parabola."""
 
 MOST_MISSED_MIN = 0.006
-"""Minutes of a day that long steps may miss, in the mean of cells: mountains come to 0.000 to 0.005, cities to 0.02 to 0.06, and
-surfaces of woods to 0.05 to 0.19.
+"""Upper bound of the mean minutes a day that long steps may miss.
+
+Mountains have 0.000 to 0.005, cities 0.02 to 0.06, and surfaces of woods 0.05 to 0.19.
 """
 
 UPRIGHT = GridOrientation(swapped=False, rows_reversed=False, cols_reversed=False)
 
 
 def step_for(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> float:
-    """Minutes between two looks at the sun of a day, for a block of bare ground whose cells are looked from so far above it.
+    """Return the minutes between two samples of a day's sun, for a block of bare ground with eyes ``height_m`` above it.
 
-    Ground beside the block is left out: it is far from most cells, and what is far bears long shadows.
+    Ground beside the block is ignored: it is far from most cells, and distant ground casts long-lasting shadows.
     """
     missed_min = missed_minutes(minutes_lit(scene, nodes, day, least_altitude_deg, height_m), int(LONG_STEP_MIN))
     return LONG_STEP_MIN if missed_min.mean() <= MOST_MISSED_MIN else SHORT_STEP_MIN
 
 
 def minutes_lit(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_deg: float, height_m: float) -> np.ndarray:
-    """Whether some cells of a block see the sun (cells, minutes), bool, in each minute that it is up."""
+    """Return whether sampled cells of a block see the sun, in each minute that it is up: bool (cells, minutes)."""
     rows, cols = np.nonzero(nodes.shown)
     some = np.random.default_rng(0).choice(len(rows), min(SAMPLED_CELLS, len(rows)), replace=False)
     cells = np.stack([rows[some], cols[some]], axis=1)
@@ -61,8 +64,9 @@ def minutes_lit(scene: Scene, nodes: BareNodes, day: WindowSun, least_altitude_d
 
 
 def missed_minutes(lit: np.ndarray, step: int) -> np.ndarray:
-    """By how many minutes a day's sun of cells (n,) is wrong, of which each minute is known (n, minutes), if only every so many are
-    looked at: between two that differ the first crossing is found, and between two that are alike nothing.
+    """Return the errors in minutes (n,) of a day's sun of cells, if only every ``step``-th minute is sampled.
+
+    ``lit`` (n, minutes) is the truth. Between two samples that differ, the first crossing is found; between equal ones, none is.
     """
     wrong = np.zeros(len(lit))
     for begin in range(0, lit.shape[1] - 1, step):

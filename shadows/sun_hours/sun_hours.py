@@ -1,13 +1,12 @@
-"""Hours of sun: how long, from when to when, and on how many days the sun is seen from the cells of a map's block.
+"""Hours of sun: the duration, the first and last time, and the number of days of direct sun at the cells of a map's block.
 
-The sun is looked for at even steps of time and where it rises and sets; where no step is given, as often as the ground of a block
-asks for (``skugga.shadows.sun_hours.steps``). From bare ground the line sweep says by how much a cell
-clears what lies between it and the sun (``skugga.shadows.sweep``), and the times between steps at which that changes its sign are
-found from it (``skugga.shadows.sun_hours.spells``); in steps longer than ``WALKED_MIN`` by walks over the ground, too. Where
-something stands on the ground a plan's algorithms say how much of the sun is seen: a cell has sun where that is half of it at
-least.
+The sun is sampled in even time steps, and at its rise and set. Without a given step, each block's ground determines it
+(``skugga.shadows.sun_hours.steps``). For bare ground the line sweep (``skugga.shadows.sweep``) gives the clearance by which each
+cell sees the sun. The times at which clearances change their signs are derived from it (``skugga.shadows.sun_hours.spells``). With
+steps longer than ``WALKED_MIN``, walks over the ground refine them. Where objects stand on the ground, a plan's algorithms give the
+visible share of the sun: a cell has sun if at least half of it is visible.
 
-Cells keep the order of the sweep's turned grid from step to step: only three or four times a day does that change.
+Cells keep the order of the sweep's turned grid from step to step, which changes only three or four times a day.
 """
 
 from __future__ import annotations
@@ -51,30 +50,42 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 LINES = 8
-"""Lines to a column of nodes (``skugga.shadows.sweep.lines``): with four the hours on surfaces of trees are wrong twice as much."""
+"""Lines per column of nodes (``skugga.shadows.sweep.lines``); with four, the errors of hours on surfaces of trees double."""
 
 CASTERS_MIN = 15.0
-"""Minutes of sun for which ground beside a block is looked for at their two ends: what lies before the sun in between lies before
-it at one of them, but for ground some fifteen times as far away as the block is wide."""
+"""Minutes of sun between two searches for casting ground beside a block.
+
+Ground that hides the sun in between hides it at one of the two ends, too, unless it is about fifteen times as far away as the block
+is wide.
+"""
 
 DRAWN_STEP_MIN = 2.0
-"""Minutes between two pictures, where no step is given and something stands on the ground."""
+"""Default minutes between two pictures, where objects stand on the ground."""
 
 WALKED_MIN = 3.0
-"""Minutes between two moments beyond which a crossing is looked for on the ground: nearer ones the clearances tell well enough."""
+"""Minutes between two moments beyond which walks refine a crossing; clearances suffice for shorter steps."""
 
 ON_RIM = 1e-6
-"""How near to a pixel's side, in pixels, the raster ends there."""
+"""Tolerance in pixels for a raster's edge on the edge of a pixel."""
 
 RIM_PLACES = 33
-"""Rows and columns of places by which it is told where a raster lies on another grid."""
+"""Rows and columns of positions that determine the extent of a raster on another grid."""
 
 
 @dataclass(frozen=True)
 class SunRules:
-    """What counts as sun: seen from ``height_m`` above the ground, where it stands at least ``least_altitude_deg`` high
-    (apparent, at the cell); a day counts from ``threshold_h`` hours on. It is looked for every ``step_min`` minutes; ``None``: as
-    often as each block's ground asks for.
+    """The definition of direct sun.
+
+    Attributes
+    ----------
+    step_min
+        Minutes between two samples; ``None``: each block's ground determines it.
+    threshold_h
+        Hours from which on a day counts.
+    least_altitude_deg
+        Lowest apparent altitude of the sun at a cell that counts.
+    height_m
+        Height of the eye above the ground, metres.
     """
 
     step_min: float | None = None
@@ -85,9 +96,18 @@ class SunRules:
 
 @dataclass(frozen=True, eq=False)
 class SunHours:
-    """Of a block's cells, float32 (rows, cols), NaN where there is no surface: mean ``hours`` of sun a date; the ``first`` and
-    ``last`` sun of any date, in minutes from midnight of the window's clock (NaN: never); the ``longest`` unbroken spell of any
-    date, hours; and on how many ``days`` there were enough hours.
+    """The sun of a block's cells, float32 (rows, cols); NaN where no surface is valid.
+
+    Attributes
+    ----------
+    hours
+        Mean hours of sun per date.
+    first, last
+        First and last sun of any date, minutes from midnight of the window's clock; NaN: never.
+    longest
+        Longest unbroken spell of any date, hours.
+    days
+        Number of dates with at least ``SunRules.threshold_h``.
     """
 
     hours: np.ndarray
@@ -105,16 +125,41 @@ def sun_hours(
     plan_of: Callable[[Scene], Plan],
     on_day: Callable[[], None] | None = None,
 ) -> SunHours:
-    """The sun of some days in a block of a map's cells; ``plan_of`` gives the plan for a scene under a sun, and is asked only where
-    something stands on the ground, or where cells are no nodes. Clouds are left out. ``on_day()`` is called after each.
+    """Return the direct sun of days at the cells of a map's block. Clouds are ignored.
 
-    Raises ``InputError`` for a height above objects, ``UnsupportedError`` and ``RenderError`` as the algorithms do.
+    Parameters
+    ----------
+    scene
+        The scene.
+    view
+        The cells.
+    days
+        The sun during the daily windows.
+    rules
+        The definition of direct sun.
+    plan_of
+        Function that returns the plan for a scene under a sun. It is called only where objects stand on the ground, or where cells
+        are not nodes.
+    on_day
+        Function to call after each day.
+
+    Returns
+    -------
+    SunHours
+        The sun of the cells.
+
+    Raises
+    ------
+    InputError
+        ``rules.height_m`` is not 0 although objects stand on the ground.
+    UnsupportedError, RenderError
+        The errors of the algorithms.
     """
     scene = _under_clear_sky(scene)
     if is_bare(scene) and view.on_nodes:
         over: _BareBlock | _DrawnBlock = _BareBlock(scene, bare_nodes(scene, view, 1), rules)
     elif rules.height_m:
-        raise InputError("height", rules.height_m, "0, where anything stands on the ground")
+        raise InputError("height", rules.height_m, "0, where objects stand on the ground")
     else:
         over = _DrawnBlock(scene, view, plan_of)
     known = over.known()
@@ -141,7 +186,7 @@ def sun_hours(
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What is known of a block's cells so far, in the order of a turned grid."""
+    """The sun of a block's cells so far, in the order of a turned grid."""
 
     view: MapView
     turn: GridOrientation
@@ -152,14 +197,14 @@ class _Seen:
 
     @property
     def fit(self) -> np.ndarray:
-        """``quadratic_fit`` of the block's lattice."""
+        """The ``quadratic_fit`` of the block's lattice."""
         row, col = lattice_of(self.view)
         i, j = self.turn.onto(row.ravel(), col.ravel(), self.view.rows, self.view.cols)
         return quadratic_fit(i, j, self.spells.day.shape)
 
 
 def _through(seen: _Seen, over: _BareBlock | _DrawnBlock, day: WindowSun, span: SunSpan, clock: ClockReading) -> _Seen:
-    """Add a day's span."""
+    """Add a span of a day."""
     moments: list[Moment] = []
     begins = True
 
@@ -189,19 +234,19 @@ class _BareBlock:
     def __init__(self, scene: Scene, nodes: BareNodes, rules: SunRules) -> None:
         self._scene, self._nodes, self._rules, self._height_m = scene, nodes, rules, rules.height_m
         self._alone = _holds_all_ground(scene, nodes.view)
-        self._looked: deque[tuple[Patch, ...]] = deque(maxlen=3)  # here, there and after
+        self._looked: deque[tuple[Patch, ...]] = deque(maxlen=3)  # the patches of the last three moments
         self._ground: tuple[tuple[Patch, ...], WalkedGround] | None = None
 
     def known(self) -> np.ndarray:
-        """Which cells (rows, cols) show ground."""
+        """Return the valid mask: cells (rows, cols) that show ground."""
         return self._nodes.shown
 
     def step_min(self, day: WindowSun) -> float:
-        """Minutes between two looks at the sun, of a day that stands for others."""
+        """Return the minutes between two samples, from a representative day."""
         return step_for(self._scene, self._nodes, day, self._rules.least_altitude_deg, self._height_m)
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
-        """Clearances (n, m) at each moment of a span, and how they are turned; the fifth is in the first one's array."""
+        """Yield the orientation and the clearances (n, m) at each moment of a span. The fifth ones reuse the array of the first."""
         used: list[np.ndarray] = []
         for minutes, patches in self._casters(day, span):
             self._looked.append(patches)
@@ -213,12 +258,12 @@ class _BareBlock:
             yield found.turn, used[-1]
 
     def sight(self, day: WindowSun, ends: tuple[float, float], turn: GridOrientation) -> Sight | None:
-        """What cells see between two moments, if these are far enough apart to look for it."""
+        """Return the occlusion of cells between two moments, if they are far enough apart for walks."""
         if ends[1] - ends[0] <= WALKED_MIN:
             return None
         patches = tuple(dict.fromkeys(patch for looked in self._looked for patch in looked))
         if self._ground is None or self._ground[0] != patches:
-            self._ground = None  # before the next one is made
+            self._ground = None  # free the memory before the next one is made
             self._ground = patches, walked_ground(self._scene, self._nodes, patches)
         return Sight(self._ground[1], sun_track(day, self._nodes, self._scene.world, turn, ends), self._height_m)
 
@@ -226,7 +271,7 @@ class _BareBlock:
         return replace(self._scene, sun=day.sun(minutes, self._scene.world))
 
     def _casters(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[float, tuple[Patch, ...]]]:
-        """When the sun is looked for, and the ground beside the block that may shade it then."""
+        """Yield each sampled moment, with the ground beside the block that may cast shadows on it then."""
         first, last = span.looked_for_min(0), span.looked_for_min(len(span.knots_min) - 1)
         end = -np.inf
         before: tuple[Patch, ...] = ()
@@ -245,27 +290,27 @@ class _BareBlock:
 
 
 class _DrawnBlock:
-    """By how much the visible share of the sun exceeds a half, by a plan's algorithms."""
+    """Clearances by a plan's algorithms: the visible share of the sun, less a half."""
 
     def __init__(self, scene: Scene, view: MapView, plan_of: Callable[[Scene], Plan]) -> None:
         self._scene, self._view, self._plan_of = scene, view, plan_of
 
     def known(self) -> np.ndarray:
-        """Which cells (rows, cols) show a surface."""
+        """Return the valid mask: cells (rows, cols) that show a surface."""
         return self._drawn(Sun(0.0, 90.0, self._scene.world.earth_from_anchor[:, 2])).there
 
     def step_min(self, day: WindowSun) -> float:
-        """Minutes between two pictures, of any day."""
+        """Return the minutes between two pictures; the same for all days."""
         return DRAWN_STEP_MIN
 
     def clearances(self, day: WindowSun, span: SunSpan) -> Iterator[tuple[GridOrientation, np.ndarray]]:
-        """As ``_BareBlock.clearances``, in the cells' own order."""
+        """Do as ``_BareBlock.clearances``, in the order of the cells."""
         for number in range(len(span.knots_min)):
             frame = self._drawn(day.sun(span.looked_for_min(number), self._scene.world))
             yield UPRIGHT, frame.visibilities[SUN] - np.float32(0.5)
 
     def sight(self, day: WindowSun, ends: tuple[float, float], turn: GridOrientation) -> None:
-        """Nothing is known between two moments."""
+        """Return ``None``: pictures give no occlusion between two moments."""
 
     def _drawn(self, sun: Sun) -> Frame:
         scene = replace(self._scene, sun=sun)
@@ -273,7 +318,7 @@ class _DrawnBlock:
 
 
 def _under_clear_sky(scene: Scene) -> Scene:
-    """A scene whose sun no clouds hide."""
+    """Return a scene without clouds that hide its sun."""
     level = scene.loaded.level
     if not level.weather.overcast:
         return scene
@@ -282,15 +327,16 @@ def _under_clear_sky(scene: Scene) -> Scene:
 
 
 def _holds_all_ground(scene: Scene, view: MapView) -> bool:
-    """Whether no ground of a level lies beside a block."""
+    """Return whether a block holds all ground of its level."""
     (top, bottom), (left, right) = ground_extent(scene, view)
     rows, cols = (-0.5 - ON_RIM, view.rows - 0.5 + ON_RIM), (-0.5 - ON_RIM, view.cols - 0.5 + ON_RIM)
     return bool(top >= rows[0] and bottom <= rows[1] and left >= cols[0] and right <= cols[1])
 
 
 def ground_extent(scene: Scene, view: MapView) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Least and greatest row, and column, of a level's raster, counted in a view's pixels from its first; without end where PROJ
-    cannot say.
+    """Return the minimum and maximum row, and column, of a level's raster, in pixels of a view from its first one.
+
+    The limits are infinite where PROJ cannot transform them.
     """
     elevation, grid = scene.elevation, view.grid
     rows, cols = (np.linspace(-0.5, count - 0.5, RIM_PLACES) for count in (elevation.rows, elevation.cols))
@@ -300,7 +346,7 @@ def ground_extent(scene: Scene, view: MapView) -> tuple[tuple[float, float], tup
     row, col = (grid.row(y) - view.row0) / view.row_step, (grid.col(x) - view.col0) / view.col_step
     if not (np.isfinite(row).all() and np.isfinite(col).all()):
         return (-np.inf, np.inf), (-np.inf, np.inf)
-    if grid.crs.is_geographic:  # as many times round the earth as the view
+    if grid.crs.is_geographic:  # shift by whole turns to the turn of the view
         period = 360.0 / (grid.step * view.col_step)
         if np.ptp(col) > period * (1.0 - 1.0 / RIM_PLACES):
             return (float(row.min()), float(row.max())), (-np.inf, np.inf)

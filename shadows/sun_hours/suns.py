@@ -1,7 +1,7 @@
-"""Under which suns a day's sun is looked for over a block: at even steps, and where it rises above the horizon or a floor and sets.
+"""The moments at which a day's sun is sampled over a block: in even steps, and where it rises above a floor and sets.
 
-Where the sun stands is known each minute from one path for the level's anchor, refraction included; between two minutes its
-direction is interpolated (right to 2e-6 of a radian).
+The sun's position is computed for each minute at the level's anchor, with refraction. Between two minutes its direction is
+interpolated, which is accurate to 2e-6 of a radian.
 """
 
 from __future__ import annotations
@@ -20,22 +20,36 @@ from skugga.terrain.geo.sun_path import PRESSURE_PA, TEMPERATURE_C, sun_path
 from skugga.terrain.geo.world import World
 
 BLOCK_PLACES = 5
-"""Rows and columns of places that stand for a block's."""
+"""Rows and columns of positions that represent a block."""
 
 LOWEST_LIFTED_DEG = -0.8333
-"""Altitude below which the formula knows no refraction: none of the sun's disc is seen."""
+"""Altitude below which the formula has no refraction: no part of the sun's disc is visible."""
 
 UP_MIN = 0.02
-"""By how many minutes after a rise, and before a set, the sun stands that is looked for there."""
+"""Minutes after a rise, and before a set, of the sun that is used there."""
 
 APART_MIN = 0.25
-"""Suns that are nearer to one another are one."""
+"""Minimum minutes between two samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class WindowSun:
-    """The sun through a window of a date: unit vectors ``towards_earth`` (n, 3), and ``bare_earth`` without refraction,
-    ``lift_deg`` and angles (n,) at minutes ``times_min`` (n,) after its start.
+    """The sun during a window of a date, at n times.
+
+    Attributes
+    ----------
+    window
+        The window.
+    times_min
+        (n,): minutes after the window's start.
+    towards_earth
+        (n, 3): earth-fixed unit vectors towards the apparent sun.
+    bare_earth
+        (n, 3): the same without refraction.
+    azimuth_deg, altitude_deg
+        (n,): apparent azimuths and altitudes at the level's anchor.
+    lift_deg
+        (n,): refraction.
     """
 
     window: DailyWindow
@@ -47,12 +61,12 @@ class WindowSun:
     lift_deg: np.ndarray
 
     def direction(self, minutes: np.ndarray) -> np.ndarray:
-        """Unit vectors (k, 3) towards the sun so many minutes after the window's start."""
+        """Return unit vectors (k, 3) towards the sun, at minutes (k,) after the window's start."""
         found = np.stack([np.interp(minutes, self.times_min, axis) for axis in self.towards_earth.T], axis=1)
         return found / np.linalg.norm(found, axis=1, keepdims=True)
 
     def sun(self, minutes: float, world: World) -> Sun:
-        """The sun so many minutes after the window's start."""
+        """Return the sun at so many minutes after the window's start."""
         towards = self.direction(np.array([minutes]))[0]
         east, north, up = world.earth_from_anchor.T @ towards
         azimuth = float(np.degrees(np.arctan2(east, north))) % 360.0
@@ -62,24 +76,32 @@ class WindowSun:
 
 @dataclass(frozen=True, eq=False)
 class SunSpan:
-    """A time, from a rise of the sun in a block or the window's start on to a set or its end: moments ``knots_min`` (k,) at which
-    the sun is looked for, minutes after the window's start. ``above`` (k, BLOCK_PLACES, BLOCK_PLACES) is by how much the sine of
-    its altitude exceeds the floor's at places of the block.
+    """A span of time with the sun up: from a rise in a block, or the window's start, to a set or the window's end.
+
+    Attributes
+    ----------
+    knots_min
+        (k,): sampled moments, minutes after the window's start.
+    above
+        (k, BLOCK_PLACES, BLOCK_PLACES): the sine of the altitude less that of the floor, at positions of the block.
     """
 
     knots_min: np.ndarray
     above: np.ndarray
 
     def looked_for_min(self, number: int) -> float:
-        """When the sun stands that is looked for at a knot: a moment inside of the span."""
+        """Return the moment whose sun is used at a knot, minutes: it lies inside of the span."""
         first, last = self.knots_min[0] + UP_MIN, self.knots_min[-1] - UP_MIN
         return float(np.clip(self.knots_min[number], first, max(first, last)))
 
 
 def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]:
-    """The sun through daily windows. Raises ``UnsupportedError`` off the earth, ``InputError`` for years that are not known."""
+    """Return the sun during daily windows.
+
+    Raises ``UnsupportedError`` off the earth, and ``InputError`` for years outside of the sun's ephemeris.
+    """
     if world.off_earth is not None:
-        raise UnsupportedError("date", str(windows[0].date), f"{world.off_earth}: it has no sun of a date")
+        raise UnsupportedError("date", str(windows[0].date), f"{world.off_earth}, so a date gives no sun")
     days = []
     for window in windows:
         times = np.append(np.arange(0.0, window.minutes, 1.0), window.minutes)
@@ -95,8 +117,9 @@ def window_suns(world: World, windows: Sequence[DailyWindow]) -> list[WindowSun]
 
 
 def lifted_sine(sine: np.ndarray) -> np.ndarray:
-    """The sine of the sun's apparent altitude for that of its altitude without refraction, by the formula of ``sun_path`` (Reda &
-    Andreas 2004, eq. 42): so a wide block's places have each their own sunrise.
+    """Return the sine of the sun's apparent altitude, from the sine of its altitude without refraction.
+
+    The formula is that of ``sun_path`` (Reda & Andreas 2004, eq. 42). So each position in a wide block has its own sunrise.
     """
     altitude = np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
     air = PRESSURE_PA / 101000.0 * 283.0 / (273.0 + TEMPERATURE_C)
@@ -106,14 +129,14 @@ def lifted_sine(sine: np.ndarray) -> np.ndarray:
 
 
 def lattice_of(view: MapView) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns (BLOCK_PLACES, BLOCK_PLACES) of the places that stand for a block's pixels, counted from its first."""
+    """Return rows and columns (BLOCK_PLACES, BLOCK_PLACES) of the positions that represent a block, in pixels from its first."""
     row, col = (np.linspace(0.0, count - 1.0, BLOCK_PLACES) for count in (view.rows, view.cols))
     rows, cols = np.meshgrid(row, col, indexing="ij")
     return rows, cols
 
 
 def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, step_min: float) -> list[SunSpan]:
-    """When the sun stands above a floor (degrees, apparent) anywhere in a block, and the moments at which to look for it."""
+    """Return the spans with the sun above a floor (degrees, apparent) anywhere in a block, with their sampled moments."""
     row, col = lattice_of(view)
     x, y = view.grid.x(view.col0 + col * view.col_step), view.grid.y(view.row0 + row * view.row_step)
     _, up = world.ground(view.grid.crs, x, y)
@@ -135,7 +158,7 @@ def sun_spans(day: WindowSun, view: MapView, world: World, floor_deg: float, ste
 
 
 def _above_zero(times: np.ndarray, values: np.ndarray) -> list[tuple[float, float]]:
-    """The spells of time in which values, linear between times, are over 0."""
+    """Return the intervals of time during which values, linear between times, are over 0."""
     over = np.concatenate([[False], values > 0.0, [False]])
     starts, ends = np.flatnonzero(over[1:] & ~over[:-1]), np.flatnonzero(over[:-1] & ~over[1:]) - 1
 

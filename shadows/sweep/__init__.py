@@ -1,1 +1,1 @@
-"""The line sweep: `sweep`, lines along the sun's azimuth over the heightfield. Compiled loops, no OpenGL."""
+"""The line sweep: `sweep` follows lines along the sun's azimuth over the heightfield, in compiled loops without OpenGL."""

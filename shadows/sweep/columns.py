@@ -1,17 +1,17 @@
-"""The sun's shadows of upright columns (``skugga.terrain.ground.columns``): every ray is followed over the cells that it passes.
+"""The sun's shadows of upright columns (``skugga.terrain.ground.columns``), by one ray per column.
 
-What lines share of a smooth ground they do not share of walls: a ray meets a column, or passes beside it by a hair's breadth. So
-each column has a ray of its own, from the middle of its top. It is followed towards the sun over the turned grid
-(``skugga.shadows.sweep.lines``), row by row: over a cell it is lowest where it comes in, and there it is held against the cell's
-flat top. What it passes at a corner or along a border it meets, as a ray that meets an edge is stopped.
+Lines through smooth ground can be interpolated. Walls cannot: a ray meets a column or passes beside it by a hair's breadth. So each
+column has its own ray, from the middle of its top. The ray is followed towards the sun over the turned grid
+(``skugga.shadows.sweep.lines``), row by row. Over a cell it is lowest where it enters, and there its height is compared with the
+cell's flat top. A ray that passes a corner or runs along a border meets the cell, as a ray that meets an edge is stopped.
 
-**Bands.** ``BAND_CELLS`` rows at a time a ray is held against the highest column of each block of cells that it passes. Blocks that
-lie below it are passed over at once, and where no higher column lies ahead it has reached the sun.
+**Bands.** For ``BAND_CELLS`` rows at a time, a ray is compared with the highest column of each block of cells that it passes. It
+skips blocks that lie below it. It has reached the sun where no higher column lies ahead.
 
-**A bent earth.** A ray is what has one t and one level (``skugga.shadows.sweep.lines``). Along each border between rows its column
-and its height above sea level follow from cubics in t: of the column, of how far aside the vertical leads, of the level of height
-0, and of what a metre of height adds to it. Nothing is put between lines, so the answers are those of the columns themselves, in a
-flat world to the rounding of float64.
+**A curved earth.** A ray has one t and one level (``skugga.shadows.sweep.lines``). Along each border between rows, cubics in t give
+the column of ground at a reference height, its shift per metre of height, the level of height 0, and the level per metre of height.
+The ray's column and height above sea level follow from them. Nothing is interpolated between lines. So the results are those of
+the columns themselves; in a flat world they are exact to the rounding of float64.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from skugga.terrain.ground.columns import Columns, PlacedOnColumns
 from skugga.terrain.scene import Scene
 
 BAND_CELLS = 16
-"""Rows that are passed over at once, and side of the blocks of cells whose highest column is known."""
+"""Rows that a ray skips at once, and the side of the blocks of cells whose highest column is stored."""
 
 ON_CORNER = 1e-6
-"""How near to a corner, in cells, a ray meets all columns that it is one of."""
+"""Tolerance in cells: a ray this near to a corner meets all columns at the corner."""
 
 TOUCHING_M = 1e-6
-"""What is higher than a ray by less does not stop it: what float64 makes of tops of one height."""
+"""Tolerance in metres by which a column must be higher than a ray to stop it: the float64 rounding of tops of equal height."""
 
 NO_COLUMN = np.float32(-1e30)
 
@@ -47,12 +47,30 @@ POINTS_AT_A_TIME = 2**15
 
 
 class TurnedColumns(NamedTuple):
-    """Columns (n, m) of a turned grid: ``height`` float32, ``NO_COLUMN`` where there is none, the highest of each block (``tops``),
-    and of all rows before a border (``ahead`` (n + 1,)).
+    """Columns (n, m) of a turned grid.
 
-    Along the border before each row, and behind the last one, cubics (n + 1, 4) in t: the column (``place``) of ground that is
-    ``middle`` metres high, and how far aside (``lean``) a metre more leads; the level of height 0 (``zero``), and what a metre
-    adds to it (``rise``). t counts cells that are ``side`` times those of the points.
+    The cubics (n + 1, 4) in t hold along the border before each row, and along the one after the last row.
+
+    Attributes
+    ----------
+    height
+        float32 (n, m), metres: the tops; ``NO_COLUMN`` where a cell has none.
+    tops
+        float32 (n / BAND_CELLS, m / BAND_CELLS), rounded up, metres: the highest top of each block of cells.
+    ahead
+        float32 (n + 1,), metres: the highest top of all rows before a border, on the way to the sun.
+    place
+        (n + 1, 4): the column of ground at height ``middle``.
+    lean
+        (n + 1, 4): its shift in columns per metre of height.
+    zero
+        (n + 1, 4), metres: the level of height 0.
+    rise
+        (n + 1, 4): the change of the level per metre of height.
+    middle
+        Metres: the reference height of ``place``.
+    side
+        Size of a cell, in cells of the points' t.
     """
 
     height: np.ndarray
@@ -68,8 +86,22 @@ class TurnedColumns(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ColumnGround:
-    """The columns of a detail towards the sun, their shape and first cell before they are turned, and their cubics for what lies
-    towards the sun: ``along`` and ``along_rise`` (n + 1, 4), as ``zero`` and ``rise`` are for levels.
+    """The columns of one level of detail, turned towards the sun.
+
+    Attributes
+    ----------
+    detail
+        Level of detail: a cell is 2**detail cells wide.
+    row0, col0
+        First cell before turning.
+    shape
+        Rows and columns before turning.
+    columns
+        The turned columns.
+    along
+        (n + 1, 4): cubics of the metres towards the sun at height 0, as ``TurnedColumns.zero`` is for levels.
+    along_rise
+        (n + 1, 4): cubics of their change per metre of height, as ``TurnedColumns.rise`` is for levels.
     """
 
     detail: int
@@ -81,7 +113,7 @@ class ColumnGround:
     along_rise: np.ndarray
 
     def tilted(self, angle: float) -> TurnedColumns:
-        """The columns under a sun that stands higher by an angle, radians."""
+        """Return the columns under a sun that is higher by an angle in radians."""
         cosine, sine = np.cos(angle), np.sin(angle)
         return self.columns._replace(
             zero=cosine * self.columns.zero - sine * self.along, rise=cosine * self.columns.rise - sine * self.along_rise
@@ -90,9 +122,28 @@ class ColumnGround:
 
 @dataclass(frozen=True, eq=False)
 class ColumnSweep:
-    """What a sweep over columns goes by: the ground, the finest first; and of a buffer's points, each column once, their turned
-    rows there (n,), t, heights, and levels and metres towards the sun. A column's level (NaN) is that of its top. ``number`` is of
-    the point that each of the buffer's pixels (rows, cols) shows, -1 without any.
+    """The input of a sweep over columns: the ground, and the points of a buffer.
+
+    All pixels that show one column share one point.
+
+    Attributes
+    ----------
+    rays
+        The sun's rays over the grid.
+    grounds
+        The ground by level of detail, the finest first.
+    number
+        int (rows, cols): the point that each pixel shows; -1 without one.
+    row
+        (n,): turned rows on the finest ground.
+    t
+        (n,): coordinates across the lines, in cells.
+    height_m
+        (n,): heights.
+    level_m
+        (n,): levels; NaN for columns, whose tops give it.
+    towards_m
+        (n,): metres towards the sun.
     """
 
     rays: SunRays
@@ -106,12 +157,14 @@ class ColumnSweep:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of what it holds."""
+        """Size in bytes."""
         return sum(ground.columns.height.nbytes for ground in self.grounds) + 40 * self.row.size
 
     def above_m(self, angle: float, measured: bool, cores: int) -> np.ndarray:
-        """How far columns rise above the rays from a buffer's pixels (rows, cols) to a sun that stands higher by an angle, radians:
-        over 0 where any does; where ``measured``, by how much the highest one does.
+        """Return by how many metres columns rise above the rays from a buffer's pixels (rows, cols) to the sun.
+
+        The sun is higher than the scene's by ``angle``, radians. The value is over 0 if any column rises above the ray. Only if
+        ``measured`` is it the rise of the highest one.
         """
         grounds = [ground.tilted(angle) for ground in self.grounds]
         own = np.cos(angle) * self.level_m - np.sin(angle) * self.towards_m
@@ -129,7 +182,7 @@ class ColumnSweep:
         return np.append(out, 0.0)[self.number]
 
     def _rows_on(self, ground: ColumnGround, row: np.ndarray) -> np.ndarray:
-        """Turned rows of the finest ground on another one."""
+        """Convert turned rows of the finest ground to those of another one."""
         finest, turn = self.grounds[0], self.rays.turn
         if ground is finest:
             return row
@@ -142,7 +195,10 @@ class ColumnSweep:
 
 
 def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> ColumnSweep:
-    """The sweep for a map's block of columns. Raises ``UnsupportedError`` where the sun's rays are too bent."""
+    """Return the sweep for a map's block of columns.
+
+    Raises ``UnsupportedError`` where the sun's rays bend too much.
+    """
     placed = buffer.columns
     assert placed is not None
     window = placed.window
@@ -166,8 +222,9 @@ def column_sweep(buffer: GeometryBuffer, scene: Scene, casters: Casters) -> Colu
 
 
 def _numbered(buffer: GeometryBuffer, placed: PlacedOnColumns, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers (rows, cols) of the points that pixels show, one for each column of so many and for each pixel with anything else;
-    and a pixel that shows each, flat (n,).
+    """Return the number (rows, cols) of the point that each pixel shows, and a pixel, flat (n,), that shows each point.
+
+    Pixels of one column, among ``cells`` columns, share a point. Each pixel that shows anything else has its own.
     """
     there, ground = buffer.there.ravel(), (buffer.there & (buffer.kind == RELIEF)).ravel()
     key = np.full(there.size, -1, np.int64)
@@ -175,7 +232,7 @@ def _numbered(buffer: GeometryBuffer, placed: PlacedOnColumns, cells: int) -> tu
     key[ground] = cell.ravel()[ground]
     others = np.flatnonzero(there & ~ground)
     key[others] = cells + np.arange(len(others))
-    shown = np.full(cells + len(others) + 1, -1, np.int64)  # the last one is of pixels that show nothing
+    shown = np.full(cells + len(others) + 1, -1, np.int64)  # the last one stands for pixels that show nothing
     shown[key] = np.arange(key.size)
     shown[-1] = -1
     used = np.flatnonzero(shown >= 0)
@@ -185,7 +242,7 @@ def _numbered(buffer: GeometryBuffer, placed: PlacedOnColumns, cells: int) -> tu
 
 
 def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[int, int, np.ndarray]]) -> ColumnGround:
-    """One ground over windows of heights; where there is none, there is no column."""
+    """Return one ground over windows of heights; cells outside of all windows have no column."""
     row0, col0 = min(row for row, _, _ in windows), min(col for _, col, _ in windows)
     rows = max(row + height_m.shape[0] for row, _, height_m in windows) - row0
     cols = max(col + height_m.shape[1] for _, col, height_m in windows) - col0
@@ -216,10 +273,11 @@ def _ground(rays: SunRays, columns: Columns, detail: int, windows: list[tuple[in
 def _border_cubics(
     along_rays: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
 ) -> Iterator[np.ndarray]:
-    """Cubics in t (rows + 1, 4) along the borders of a turned grid's rows: the column, how far it moves aside with a metre of
-    height, and four more values, of ``along_rays``: t, what a metre adds to it, and the four, at turned rows and columns.
+    """Return cubics in t (rows + 1, 4) along the borders of a turned grid's rows.
 
-    Raises ``UnsupportedError``, which names the grid's CRS, where cubics cannot follow it.
+    ``along_rays`` gives, at turned rows and columns: t, the change of t per metre of height, and four more values. The result holds
+    the cubics of the column, of its shift per metre of height, and of the four values. Raises ``UnsupportedError``, which names the
+    grid's CRS, where cubics cannot follow the column.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -248,14 +306,14 @@ def _border_cubics(
 
 
 def _coefficients(t: np.ndarray, values: np.ndarray, degree: int) -> np.ndarray:
-    """Those (degree + 1,) of a polynomial in t through values."""
+    """Return the coefficients (degree + 1,) of a polynomial in t fitted to values."""
     found = np.polynomial.Polynomial.fit(t, values, degree).convert().coef
     return np.pad(found, (0, degree + 1 - len(found)))
 
 
 @compiled
 def _own_levels(columns, row, t, height):
-    """The levels (n,) of points on columns of these heights, at turned rows."""
+    """Return the levels (n,) of points on columns of the given heights, at turned rows."""
     out = np.empty(row.size)
     borders = len(columns.zero)
     for n in range(row.size):
@@ -269,7 +327,10 @@ def _own_levels(columns, row, t, height):
 
 @compiled
 def _follow(columns, row, t, level, measured, above):
-    """Raise ``above`` (n,), where it is not over 0 yet or ``measured``, to what columns rise above the rays from some points."""
+    """Raise ``above`` (n,) to the metres by which columns rise above the rays from points.
+
+    Points with a value over 0 are skipped unless ``measured``.
+    """
     for n in range(row.size):
         if measured or above[n] <= 0.0:
             above[n] = _highest_above(columns, row[n], t[n], level[n], measured, above[n])
@@ -277,15 +338,16 @@ def _follow(columns, row, t, level, measured, above):
 
 @internal
 def _on_border(columns, b, t, level):
-    """A ray's column and height where it crosses the border before row ``b``."""
+    """Return a ray's column and height where it crosses the border before row ``b``."""
     height = (level - cubic(columns.zero[b], t)) / cubic(columns.rise[b], t)
     return cubic(columns.place[b], t) + (height - columns.middle) * cubic(columns.lean[b], t), height
 
 
 @internal
 def _highest_above(columns, row, t, level, measured, above):
-    """The most by which a column rises above the ray of a level from a turned row on, if more than ``above``; else that. The first
-    that does will do, unless ``measured``.
+    """Return the maximum of ``above`` and of the metres by which columns rise above a ray from a turned row on.
+
+    Unless ``measured``, the first column that rises above the ray by more than ``above`` ends the search.
     """
     heights = columns.height
     n, m = heights.shape
@@ -294,11 +356,11 @@ def _highest_above(columns, row, t, level, measured, above):
         return above
     x1, h1 = _on_border(columns, i + 1, t, level)
     share = i + 0.5 - row
-    if share > 0.0:  # from within the row
+    if share > 0.0:  # starts within the row
         x0, h0 = _on_border(columns, i, t, level)
         x1, h1 = x1 + share * (x0 - x1), h1 + share * (h0 - h1)
     while i >= 0:
-        least = h1 + above + TOUCHING_M  # what a column must reach to count
+        least = h1 + above + TOUCHING_M  # the height that a column must exceed
         if columns.ahead[i + 1] <= least:
             return above
         if (i + 1) % BAND_CELLS == 0:
@@ -319,7 +381,7 @@ def _highest_above(columns, row, t, level, measured, above):
             height = np.float64(heights[i, c])
             if height <= h1 + above + TOUCHING_M:
                 continue
-            enters = min(max(x1, c - 0.5), c + 0.5)  # where the ray comes into the cell
+            enters = min(max(x1, c - 0.5), c + 0.5)  # where the ray enters the cell
             here = h1 + (x1 - enters) / (x1 - x0) * (h0 - h1) if abs(x1 - enters) > ON_CORNER and x1 != x0 else h1
             if height > here + above + TOUCHING_M:
                 above = height - here

@@ -1,4 +1,7 @@
-"""Grids for the line sweep: turned so that the sun stands before row 0, with the lines' places, strip by strip on several cores."""
+"""Grids for the line sweep, and the sweep itself, strip by strip on several cores.
+
+A grid is turned so that the sun stands before row 0. Cubics fitted to each row give the positions of its lines.
+"""
 
 from __future__ import annotations
 
@@ -13,28 +16,28 @@ from skugga.terrain.compiled import compiled, in_shares, on_cores
 from skugga.terrain.errors import UnsupportedError
 
 STRIP_CELLS = 1024
-"""Cells of a strip of lines: few enough that its state and two rows stay in a core's cache."""
+"""Cells of a strip of lines: few enough to keep its state and two rows in a core's cache."""
 
 TURN_BAND_ROWS = 64
 """Rows of a grid that a thread turns at a time."""
 
 LATTICE = 17
-"""Rows and columns on which the lines' places are computed exactly, at most."""
+"""Maximum number of rows, and of columns, at which the positions of lines are computed exactly."""
 
 BENT_CELLS = 0.1
-"""How far, in cells, the lines may leave the cubics that stand for them."""
+"""Tolerance in cells for the distance of the lines from their fitted cubics."""
 
-RAYS_BEND_REASON = "the view is too wide, the sun's rays bend across it: shadow_map can serve it"
+RAYS_BEND_REASON = "the view is so wide that the sun's rays bend across it; shadow_map can draw it"
 
 
 def bent_rays_error(crs_name: str) -> UnsupportedError:
-    """Return the error of a view across which the sun's rays bend, in a CRS that it names."""
+    """Return the error of a view across which the sun's rays bend, with the name of its CRS."""
     return UnsupportedError("algorithm", "sweep", f"in the CRS '{crs_name}' {RAYS_BEND_REASON}")
 
 
 def beyond_crs_error(crs_name: str) -> UnsupportedError:
-    """Return the error of a view that reaches to where its CRS has no places."""
-    reason = f"the view reaches beyond the area of its CRS '{crs_name}': shadow_map can serve it"
+    """Return the error of a view that reaches beyond the area of its CRS."""
+    reason = f"the view reaches beyond the area of its CRS '{crs_name}'; shadow_map can draw it"
     return UnsupportedError("algorithm", "sweep", reason)
 
 
@@ -45,7 +48,7 @@ NO_LEVELS = np.zeros((0, 0), np.float32)
 NO_MASK = np.zeros((0, 0), np.bool_)
 
 HIGHER_DIAGONALS = np.zeros((0, 0), np.bool_)
-"""The cuts of a ``TurnedGrid`` each of whose quads is cut along its higher diagonal."""
+"""The cuts of a ``TurnedGrid`` whose quads are all cut along their higher diagonals."""
 
 
 @dataclass(frozen=True)
@@ -57,16 +60,16 @@ class GridOrientation:
     cols_reversed: bool
 
     def turned_cuts(self, falls: np.ndarray) -> np.ndarray:
-        """Which quads of the turned grid are cut from (i, j) to (i + 1, j + 1), for those (rows - 1, cols - 1) that fall."""
+        """Return which quads of the turned grid are cut from (i, j) to (i + 1, j + 1), from the same mask of the grid."""
         return self.turned(falls) != (self.rows_reversed != self.cols_reversed)
 
     def onto(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns of the turned grid for those of a grid (rows, cols); any numbers."""
+        """Return the turned grid's rows and columns at those of a grid (rows, cols); fractions and indices outside are allowed."""
         i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
         return (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
 
     def put_onto(self, row: np.ndarray, col: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """``onto`` in the memory of the arrays that it takes: fresh memory for many points costs more than the arithmetic."""
+        """Do as ``onto``, but write to the input arrays: fresh memory for many points costs more than the arithmetic."""
         i, j, n, m = (col, row, cols, rows) if self.swapped else (row, col, rows, cols)
         for turned, at, last in ((self.rows_reversed, i, n - 1), (self.cols_reversed, j, m - 1)):
             if turned:
@@ -74,22 +77,22 @@ class GridOrientation:
         return i, j
 
     def origin(self, i: np.ndarray, j: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns of a grid (rows, cols) for those of the turned one; any numbers."""
+        """Return the rows and columns of a grid (rows, cols) at those of the turned grid, the inverse of ``onto``."""
         n, m = (cols, rows) if self.swapped else (rows, cols)
         i, j = (n - 1 - i if self.rows_reversed else i), (m - 1 - j if self.cols_reversed else j)
         return (j, i) if self.swapped else (i, j)
 
     def turned(self, values: np.ndarray) -> np.ndarray:
-        """Values (rows, cols) of a grid in the turned one's order: a view."""
+        """Return a view of a grid's values (rows, cols) in the order of the turned grid."""
         return (values.T if self.swapped else values)[self._order]
 
     def back(self, values: np.ndarray) -> np.ndarray:
-        """Values (n, m) of the turned grid in the grid's own order: a view."""
+        """Return a view of the turned grid's values (n, m) in the order of the grid, the inverse of ``turned``."""
         values = values[self._order]
         return values.T if self.swapped else values
 
     def back_in_order(self, values: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
-        """As ``back``, a window of it: a copy whose rows lie side by side."""
+        """Return a contiguous copy of a window of ``back``."""
         there = self.back(values)[window]
         out = np.empty(there.shape, there.dtype)
         copy_into(there, out)
@@ -101,7 +104,7 @@ class GridOrientation:
 
 
 def orientation_towards(rows: float, cols: float) -> GridOrientation:
-    """The turn for a sun that stands in a direction (rows, columns) of a grid."""
+    """Return the orientation for a sun in a direction (rows, columns) of a grid."""
     swapped = abs(cols) > abs(rows)
     along, across = (cols, rows) if swapped else (rows, cols)
     return GridOrientation(swapped, along > 0, across > 0)
@@ -109,8 +112,18 @@ def orientation_towards(rows: float, cols: float) -> GridOrientation:
 
 @dataclass(frozen=True, eq=False)
 class SweepPoints:
-    """Points (n,) to be seen to, besides nodes: turned ``row`` and ``col`` (borders apart), ``t``, and ``own`` level (NaN: that of
-    the ground there).
+    """Points (n,) to evaluate besides nodes.
+
+    Attributes
+    ----------
+    row, col
+        float64 (n,): positions on the turned grid; columns do not count the border.
+    t
+        float64 (n,): coordinates across the lines, in cells.
+    own
+        float64 (n,), metres: levels; NaN: on the ground at their position.
+    rounding
+        Metres by which a level must exceed a point's to shade it.
     """
 
     row: np.ndarray
@@ -122,13 +135,21 @@ class SweepPoints:
 
 @dataclass(frozen=True, eq=False)
 class LineState:
-    """What lines have met: ``held`` (lines, cells) float32 of the cells from ``first_cell`` on."""
+    """The levels that lines have met.
+
+    Attributes
+    ----------
+    first_cell
+        Cell of the first column of ``held``.
+    held
+        float32 (lines, cells), metres: the highest level that each line has met.
+    """
 
     first_cell: int
     held: np.ndarray
 
     def on(self, first_cell: int, cells: int, lines: int, factor: float) -> LineState:
-        """The state between these lines for those of a grid whose cells are ``factor`` times as small."""
+        """Return the state, interpolated between these lines, for the lines of a grid whose cells are ``factor`` times as small."""
         flat_levels = self.held.T.ravel()
         wanted = ((first_cell + np.arange(cells * lines) / lines) / factor - self.first_cell) * self.held.shape[0]
         left = np.clip(np.floor(wanted).astype(np.int64), 0, flat_levels.size - 2)
@@ -140,9 +161,10 @@ class LineState:
 def position_cubics(
     t_of: Callable[[np.ndarray, np.ndarray], np.ndarray], rows: int, cols: int, crs_name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The cubics ``place`` and ``at`` (rows, 4) of a turned grid, with its borders, for a smooth t of turned rows and columns.
+    """Return the cubics ``place`` and ``at`` (rows, 4) of a turned grid with its borders.
 
-    Raises ``UnsupportedError``, which names the grid's CRS, where cubics cannot follow it.
+    ``t_of`` is a smooth function that gives t at turned rows and columns. Raises ``UnsupportedError``, which names the grid's CRS,
+    where cubics cannot follow it.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -152,7 +174,7 @@ def position_cubics(
     j = j + 1.0  # behind the left border
     if not np.isfinite(t).all():
         raise beyond_crs_error(crs_name)
-    if not (np.diff(t, axis=1) > 0.0).all():  # as where a view goes round half the earth
+    if not (np.diff(t, axis=1) > 0.0).all():  # for example a view that spans half the earth
         raise bent_rays_error(crs_name)
     columns = np.broadcast_to(j, t.shape)
     t_cubics, column_cubics = (
@@ -163,13 +185,13 @@ def position_cubics(
     exact = t_of(*np.meshgrid(checked_rows.astype(float), columns, indexing="ij"))
     c0, c1, c2, c3 = t_cubics[checked_rows].T[..., None]
     fitted = c0 + exact * (c1 + exact * (c2 + exact * c3))
-    if not np.abs(fitted - columns - 1.0).max() <= BENT_CELLS:  # nor where it is no number
+    if not np.abs(fitted - columns - 1.0).max() <= BENT_CELLS:  # also raises for NaN
         raise bent_rays_error(crs_name)
     return t_cubics, column_cubics
 
 
 def fitted_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Coefficients (m, 4), the constant first, of the cubics that take rows of x (m, n) to those of y with the least squares."""
+    """Return the coefficients (m, 4), constant term first, of the least-squares cubics that map rows of x (m, n) to rows of y."""
     middle, half = (x[:, :1] + x[:, -1:]) / 2, (x[:, -1:] - x[:, :1]) / 2
     half[half == 0.0] = 1.0  # cubics are fitted between -1 and 1
     powers = ((x - middle) / half)[..., None] ** np.arange(min(4, x.shape[1]))
@@ -181,18 +203,18 @@ def fitted_cubics(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 EVERY_ROW = slice(None)
-"""Which rows of a grid somebody will look at: all."""
+"""All rows of a grid."""
 
 Window = tuple[tuple[int, int], tuple[int, int]]
 """The first row and the one after the last, and the same of columns."""
 
 
 def bordered(n: int, m: int, known: slice = EVERY_ROW, soon: Window = ((0, 0), (0, 0))) -> tuple[np.ndarray, np.ndarray]:
-    """A new grid (n, m + 2) float32 of NaN in the rows that are ``known``, and the view of it between its borders that is to be
-    filled in. Other rows mean nothing, nor what ``soon`` will be filled in.
+    """Return a new float32 grid (n, m + 2) and its view without the border columns, to be filled in.
 
-    A line that comes in over the left border meets what lies at its end; the right one, over which lines only leave, repeats
-    the last column (``close_border``), so that the last nodes have a line on either side.
+    The rows ``known`` are NaN, except for the window ``soon``, which the caller fills in. That window and all other rows are
+    uninitialised. A line that enters across the left border meets the NaN at its end. Lines only leave across the right border. It
+    repeats the last column (``close_border``), so that the last nodes have a line on either side.
     """
     with_border = np.empty((n, m + 2), np.float32)
     begin, end, _ = known.indices(n)
@@ -205,7 +227,7 @@ def bordered(n: int, m: int, known: slice = EVERY_ROW, soon: Window = ((0, 0), (
 
 
 def close_border(with_border: np.ndarray, known: slice = EVERY_ROW) -> np.ndarray:
-    """The grid with its right border filled in, in the rows that are ``known``."""
+    """Fill in the right border of a grid, in the rows ``known``, and return the grid."""
     with_border[known, -1] = with_border[known, -2]
     return with_border
 
@@ -223,18 +245,47 @@ def sweep_nodes(
     cores: int = 1,
     begin: int = 0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """See to the nodes of turned rows [rows[0], rows[1]), of all columns or of ``cols``, and to points whose t is in a range.
+    """Sweep a turned grid, and evaluate its nodes and other points whose t lies in a range.
 
-    ``entry`` is what the lines of a coarser grid bring along, whose cells are ``factor`` times as large. Returns which nodes see
-    the sun (n, m) (empty without rows; nothing is said of others), and of the points whether they do and by how many metres the
-    highest level on their way exceeds theirs. ``shade`` (n, m), where it is not empty, is filled in with that level for the nodes;
-    it has borders, too. Rows before ``begin`` hold no ground, and are passed over.
+    Parameters
+    ----------
+    sheet
+        The turned grid (n, m + 2), borders included.
+    lines
+        Lines per column.
+    t_range
+        Range of t to sweep, in cells.
+    entry
+        The levels that the lines of a coarser grid have met.
+    factor
+        Cell size of that coarser grid, in cells of this one.
+    rows
+        Nodes to evaluate: the turned rows [rows[0], rows[1]).
+    cols
+        Nodes to evaluate: columns likewise; all by default.
+    points
+        Points to evaluate besides nodes.
+    shade
+        float32 (n, m + 2) output, if not empty: the level above which each evaluated node sees the sun.
+    cores
+        Number of threads.
+    begin
+        First row that may hold ground; the rows before it are skipped.
+
+    Returns
+    -------
+    lit
+        bool (n, m): whether nodes see the sun; undefined for nodes that are not evaluated, empty without ``rows``.
+    points_lit
+        bool (k,): whether the points see the sun.
+    points_above_m
+        float32 (k,): metres by which the highest level on their way exceeds their own.
     """
     n, columns = sheet.level.shape
     first, last = rows
     lit = np.empty((n, columns) if last > first else (0, 0), np.bool_)
     first_col, last_col = (0, columns - 2) if cols is None else cols
-    lit[first:last, first_col + 1 : last_col + 1] = True  # a sheet may be many times as large as what is asked for
+    lit[first:last, first_col + 1 : last_col + 1] = True  # a grid may be many times as large as the window
     points = points or SweepPoints(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
     points_lit, points_above_m = np.ones(len(points.row), np.bool_), np.zeros(len(points.row), np.float32)
     interval = np.empty(len(points.row), np.int32)
@@ -266,7 +317,7 @@ def sweep_nodes(
 
 
 def no_peaks(lines: int, cells: int) -> np.ndarray:
-    """Peaks (2, lines, cells) of lines that have met no node."""
+    """Return the peaks (2, lines, cells) of lines that have met no node."""
     peaks = np.zeros((2, lines, cells), np.float32)
     peaks[0] = NO_GROUND_LEVEL
     return peaks
@@ -275,7 +326,7 @@ def no_peaks(lines: int, cells: int) -> np.ndarray:
 def state_after(
     sheet: TurnedGrid, lines: int, t_range: tuple[float, float], entry: LineState | None = None, factor: float = 2.0, begin: int = 0
 ) -> LineState:
-    """What lines in a range of t have met in the end, all rows of a sheet from ``begin`` on passed: before there is no ground."""
+    """Return the levels that lines in a range of t have met after all rows of a grid; no ground lies before row ``begin``."""
     low, high = int(np.floor(t_range[0])) - 1, int(np.floor(t_range[1])) + 3
     state = LineState(low, np.full((lines, high - low), NO_GROUND_LEVEL, np.float32))
     if entry is not None:
@@ -289,11 +340,30 @@ def state_after(
 def sunlit(
     height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, altitude_deg: float, lines: int = 8, cores: int = 1
 ) -> np.ndarray:
-    """Which nodes of a heightfield in a flat world see the sun: bool (rows, cols).
+    """Return which nodes of a heightfield in a flat world see the sun.
 
-    ``height_m`` (rows, cols), row 0 north, NaN where there is no ground; ``cell_m`` is the side of a cell, or its (row, column)
-    sides; the azimuth is clockwise from north. Quads are cut along their higher diagonals. The outermost nodes' heights go on for
-    a cell: a ray that leaves the grid between two nodes of its rim is still over the cell of one.
+    Quads are cut along their higher diagonals. The heights of the outermost nodes extend by one cell: a ray that leaves the grid
+    between two nodes of its rim is still over the cell of one of them.
+
+    Parameters
+    ----------
+    height_m
+        (rows, cols) metres, row 0 north; NaN without ground.
+    cell_m
+        Side of a cell, or its sides down and right, metres.
+    azimuth_deg
+        Azimuth of the sun, clockwise from north.
+    altitude_deg
+        Altitude of the sun.
+    lines
+        Lines per column: more are more accurate and slower.
+    cores
+        Number of threads.
+
+    Returns
+    -------
+    np.ndarray
+        bool (rows, cols).
     """
     height_m = np.pad(height_m, 1, mode="edge")
     turn, row_m, col_m, t_cubics, column_cubics = flat_grid(height_m.shape, cell_m, azimuth_deg)
@@ -308,7 +378,10 @@ def sunlit(
 def flat_grid(
     shape: tuple[int, int], cell_m: CellSize, azimuth_deg: float
 ) -> tuple[GridOrientation, float, float, np.ndarray, np.ndarray]:
-    """A flat world's grid (rows, cols) under an azimuth: its turn, the sides of a cell down and right, and ``position_cubics``."""
+    """Return the orientation of a flat world's grid (rows, cols) under an azimuth, its cell size and its cubics.
+
+    The cell size is two numbers, the sides down and right in metres. The cubics are those of ``position_cubics``.
+    """
     row_m, col_m = cell_m if isinstance(cell_m, tuple) else (cell_m, cell_m)
     towards = -np.cos(np.radians(azimuth_deg)) / row_m, np.sin(np.radians(azimuth_deg)) / col_m
     turn = orientation_towards(*towards)
@@ -322,10 +395,10 @@ def flat_grid(
 def turned_levels(
     height: np.ndarray, turn: GridOrientation, per_height: float, per_row: float, per_col: float, cores: int = 1
 ) -> np.ndarray:
-    """Values float32 (turned, bordered) that are linear in the heights, rows and columns of a grid (rows, cols)."""
+    """Return float32 values (turned, bordered) that are linear in the heights, rows and columns of a grid (rows, cols)."""
     rows, cols = height.shape
     with_border, inside = bordered(*((cols, rows) if turn.swapped else (rows, cols)))
-    target = turn.back(inside)  # the same numbers, in the grid's own order
+    target = turn.back(inside)  # the same memory, in the grid's own order
 
     def band(first: int) -> None:
         rows_of_band = slice(first, first + TURN_BAND_ROWS)

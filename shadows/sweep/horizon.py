@@ -1,12 +1,13 @@
-"""The horizon towards one azimuth, for all suns that share it: along each line the upper convex hull of the ground passed.
+"""The horizon towards one azimuth, for all suns at that azimuth: the upper convex hull of the ground along each line.
 
-What a point sees last of the ground towards the sun is where the tangent from it touches that hull (Timonen and Westerholm 2010,
-*Scalable Height Field Self-Shadowing*). A line keeps its hull as a stack: a new piece of ground takes off all that it leaves
-below, so that each is put on and taken off at most once, and the work is linear in the nodes.
+The horizon of a point is where its tangent touches that hull (Timonen and Westerholm 2010, *Scalable Height Field Self-Shadowing*).
+Each line keeps its hull as a stack. A new piece of ground pops all vertices that it leaves below the hull, then is pushed itself.
+Each is pushed and popped at most once, so the work is linear in the number of nodes.
 
-A place has two coordinates in the vertical plane of the sun: its *level*, at right angles to a direction of reference, and how far
-it lies *towards* it. The horizon is the angle above that direction. Lines, places and turned grids are those of
-``skugga.shadows.sweep.lines``; as there, what is near a point is exact on its own line and the rest lies between two lines.
+A position has two coordinates in the vertical plane of the sun. Its *level* is measured at right angles to a reference direction,
+its distance *towards* the sun along it. The horizon is the angle above that direction. Lines, positions and turned grids are those
+of ``skugga.shadows.sweep.lines``. As there, ground near a point is exact on the point's own line, and the rest is interpolated
+between two lines.
 """
 
 from __future__ import annotations
@@ -20,18 +21,28 @@ from skugga.shadows.sweep.points import cubic, ground_at, is_cut
 from skugga.terrain.compiled import compiled, internal, on_cores
 
 NO_HORIZON_SLOPE = -1e30
-"""Slope of a horizon without any ground: a number, not infinity, so that it can be interpolated."""
+"""Slope of a horizon without any ground: finite, not -infinity, so that it can be interpolated."""
 
 STRIP_LINES = 256
-"""Lines that a thread takes at a time."""
+"""Lines that a thread processes at a time."""
 
 STRIP_NODES = 2**21
-"""Nodes of a whole grid that are worked on at a time, about."""
+"""Approximate number of nodes of a whole grid that are processed at a time."""
 
 
 class Section(NamedTuple):
-    """A turned grid (n, m) with borders: ``level`` and ``towards`` float32, metres, of its nodes, its lines' places (n, 4) and how
-    its quads are cut, as a ``skugga.shadows.sweep.lines.TurnedGrid`` has these.
+    """A turned grid (n, m) with borders.
+
+    Attributes
+    ----------
+    level
+        float32 (n, m), metres: the nodes' levels; NaN without ground.
+    towards
+        float32 (n, m), metres: the nodes' distances towards the sun.
+    place
+        float64 (n, 4): for each row, the cubic that gives the column at t.
+    falls
+        How the quads are cut, as in ``skugga.shadows.sweep.lines.TurnedGrid``.
     """
 
     level: np.ndarray
@@ -41,10 +52,20 @@ class Section(NamedTuple):
 
 
 class HorizonQuery(NamedTuple):
-    """Points (k,): in ``order`` (k,) by line and then row, where those of each line begin, the row ``base`` before each, and its
-    ``own`` level and how far it lies towards the sun (k, 2).
+    """Points (k,) to evaluate.
 
-    Written are the tangents ``beside`` (k, 2), on the line to its left and on the next.
+    Attributes
+    ----------
+    begins
+        int64: the first point of each line in ``order``.
+    order
+        int64 (k,): the points sorted by line, then by row.
+    base
+        int64 (k,): the row before each point.
+    own
+        float64 (k, 2), metres: each point's level and distance towards the sun.
+    beside
+        float64 (k, 2), output: the horizon's tangent on the line to the left of each point and on the next one.
     """
 
     begins: np.ndarray
@@ -55,9 +76,27 @@ class HorizonQuery(NamedTuple):
 
 
 def horizon_deg(height_m: np.ndarray, cell_m: CellSize, azimuth_deg: float, lines: int = 4, cores: int = 1) -> np.ndarray:
-    """The altitude above which a sun of an azimuth is seen from the nodes of a heightfield in a flat world: (rows, cols) degrees.
+    """Return the horizon angle towards an azimuth at the nodes of a heightfield in a flat world.
 
-    -90 where no ground lies towards it, NaN where there is none. Arguments as for ``skugga.shadows.sweep.grid.sunlit``.
+    The sun is visible from a node above this altitude.
+
+    Parameters
+    ----------
+    height_m
+        (rows, cols) metres, row 0 north; NaN without ground.
+    cell_m
+        Side of a cell, or its sides down and right, metres.
+    azimuth_deg
+        Azimuth, clockwise from north.
+    lines
+        Lines per column: more are more accurate and slower.
+    cores
+        Number of threads.
+
+    Returns
+    -------
+    np.ndarray
+        float64 (rows, cols), degrees: -90 where no ground lies in that direction, NaN without ground.
     """
     turn, row_m, col_m, t_cubics, column_cubics = flat_grid(height_m.shape, cell_m, azimuth_deg)
     azimuth = np.radians(azimuth_deg)
@@ -83,14 +122,14 @@ def slopes(
     own_towards: np.ndarray,
     cores: int = 1,
 ) -> np.ndarray:
-    """Tangents (k,) of the horizon's angle above the direction of reference, seen from points; ``NO_HORIZON_SLOPE`` without ground.
+    """Return the tangents (k,) of the horizon's angle above the reference direction, seen from points.
 
-    ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points'; where a level is NaN, both are the ground's
-    there.
+    ``row``, ``t``, ``own_level`` and ``own_towards`` (k,) float64 are the points' positions. Where a level is NaN, the ground at
+    the position replaces both it and the distance towards the sun. The tangent is ``NO_HORIZON_SLOPE`` where no ground lies ahead.
     """
     level, towards, place, falls = section
     if not len(row) or len(level) < 2:
-        return np.full(len(row), NO_HORIZON_SLOPE)  # a single row has nothing before it
+        return np.full(len(row), NO_HORIZON_SLOPE)  # no row precedes a single row
     base = np.clip(np.ceil(row).astype(np.int64) - 1, 0, len(level) - 2)
     line = np.floor(t * lines).astype(np.int64)
     first, count = int(line.min()), int(np.ptp(line)) + 1
@@ -112,7 +151,10 @@ def slopes(
 
 @compiled
 def _grouped(key, count):
-    """Where the groups of keys in [0, count) begin (count + 1,), and their members in their order: sorting by counting."""
+    """Sort keys in [0, count) by counting.
+
+    The result holds where each group of equal keys begins (count + 1,), and the indices of the keys in sorted order.
+    """
     begins = np.zeros(count + 1, np.int64)
     for value in key:
         begins[value + 1] += 1
@@ -127,7 +169,7 @@ def _grouped(key, count):
 
 @compiled
 def _nodes_between(place, at, low, high, cols):
-    """Turned rows, columns and t of the nodes with t in [low, high), but for the first row, which has nothing before it."""
+    """Return turned rows, columns and t of the nodes with t in [low, high), without the first row: no row precedes it."""
     rows = len(place)
     ends = np.empty((rows, 2), np.int64)
     total = 0
@@ -152,11 +194,11 @@ def _nodes_between(place, at, low, high, cols):
 
 @compiled
 def _walk(section, lines, first, start, stop, asked):
-    """Walk the lines from the sun on, and answer the points to the right of each and, up to the next line, to its left."""
+    """Walk the lines from the sun on; evaluate the points to the right of each line and, up to the next line, to its left."""
     level, towards, place, falls = section
     begins, order, base, own, beside = asked
     rows, cols = level.shape
-    hull = np.empty((4 * rows, 2))  # four kinks a row at most
+    hull = np.empty((4 * rows, 2))  # at most four kinks a row
     for number in range(start, stop + 1):
         t = (first + number) / lines
         size = 0
@@ -181,7 +223,7 @@ def _walk(section, lines, first, start, stop, asked):
             size = _put(hull, size, level, towards, i, c, i, c + 1, f)
             rising = (1.0 - f) / (1.0 + s)
             falling = f / (1.0 - s) if f + s <= 1.0 and s < 1.0 else np.inf
-            if falling < rising and is_cut(falls, i, c, True):  # in the order in which they are passed
+            if falling < rising and is_cut(falls, i, c, True):  # in the order of crossing
                 size = _put(hull, size, level, towards, i, c, i + 1, c + 1, falling)
             if is_cut(falls, i, c, False):
                 size = _put(hull, size, level, towards, i, c + 1, i + 1, c, rising)
@@ -195,12 +237,12 @@ def _walk(section, lines, first, start, stop, asked):
 
 @internal
 def _put(hull, size, level, towards, i, j, k, l, share):
-    """Put what lies at a share of the way between two nodes on the hull; returns its size."""
+    """Push the position at a share of the way between two nodes onto the hull, and return the hull's size."""
     u = level[i, j] + share * (np.float64(level[k, l]) - level[i, j])
     if not np.isfinite(u):
         return size
     d = towards[i, j] + share * (np.float64(towards[k, l]) - towards[i, j])
-    while size > 0 and d >= hull[size - 1, 1]:  # rounding: no ground lies behind what was passed before it
+    while size > 0 and d >= hull[size - 1, 1]:  # rounding: ground never lies nearer to the sun than ground that was passed earlier
         if u <= hull[size - 1, 0]:
             return size
         size -= 1
@@ -215,7 +257,7 @@ def _put(hull, size, level, towards, i, j, k, l, share):
 
 @internal
 def _tangent(hull, size, own):
-    """The largest slope from a point up to a hull: it grows along it up to where it touches."""
+    """Return the largest slope from a point up to a hull: from the top of the stack it rises up to the point of contact."""
     best = NO_HORIZON_SLOPE
     for n in range(size - 1, -1, -1):
         ahead = hull[n, 1] - own[1]
@@ -230,7 +272,10 @@ def _tangent(hull, size, own):
 
 @compiled
 def _look_near(level, towards, place, falls, base, row, t, own, near):
-    """The slopes up to what lies before points, from the row before them on; puts points without a level on the ground."""
+    """Write the slopes up to the ground between points and the row before them.
+
+    Points without a level get the position of the ground below them.
+    """
     cols = level.shape[1]
     for n in range(len(row)):
         i = base[n]
@@ -243,7 +288,7 @@ def _look_near(level, towards, place, falls, base, row, t, own, near):
             own[n, 1] = ground_at(towards[i], towards[i + 1], c, f + s * end, end, falls, i)
         if c < 0 or c + 1 >= cols:
             continue
-        end -= 1e-6  # nearer than a millionth of a cell is the point itself
+        end -= 1e-6  # ground within a millionth of a cell is the point itself
         best = _steeper(NO_HORIZON_SLOPE, own[n], level, towards, i, c, i, c + 1, f)
         if is_cut(falls, i, c, False) and (1.0 - f) / (1.0 + s) < end:
             best = _steeper(best, own[n], level, towards, i, c + 1, i + 1, c, (1.0 - f) / (1.0 + s))

@@ -1,25 +1,27 @@
-"""The line sweep: how high the sun's rays pass over every node of a grid, in time linear in its nodes.
+"""The line sweep: compute the shadow level at every node of a grid, in time linear in its nodes.
 
-**Space.** The grid is turned and mirrored (``skugga.shadows.sweep.grid``) so that the sun stands before row 0 and a ray, followed
-away from the sun, moves by 0 to 1 columns to the right per row. A node's *level* is its coordinate along light space's second axis
-("up": at right angles to the rays, in the vertical plane of the sun). Along a ray the level is constant, so a point sees the sun
-exactly if nothing on the way to it has a higher level: no slopes, no distances, and a curved earth bends the nodes, not the rays.
+**Space.** ``skugga.shadows.sweep.grid`` turns and mirrors the grid: the sun stands before row 0, and a ray that leaves the sun
+moves by 0 to 1 columns to the right per row. The *level* of a node is its coordinate along light space's second axis ("up": at
+right angles to the rays, in the vertical plane of the sun). The level is constant along a ray. So a point sees the sun exactly if
+nothing between it and the sun has a higher level. No slopes and no distances are needed, and the earth's curvature bends the
+nodes, not the rays.
 
-**Lines.** Rays seen from above are lines, ``lines`` of them per column. Line number k of cell j stands at ``t = j + k / lines``
-and crosses row i at a column that is a cubic in t: t and a shift, were it not that meridians converge. Each line carries the
-highest level that it has met. Between two rows it crosses the sides and the diagonals of the quads; there, and on the rows, the
-surface's level along the line has its kinks, and between them it is linear, so that a line's maximum over the very triangles
-that are drawn is exact. A quad is cut along the higher of its diagonals (``skugga.terrain.ground.sheet``): so both count, for the
-other one lies below the surface. Only where a camera's ground was decimated are cuts told quad by quad.
+**Lines.** Seen from above, rays are lines, ``lines`` of them per column. Line number k of cell j has ``t = j + k / lines``. It
+crosses row i at a column that is a cubic in t; without the convergence of meridians it would be t plus a shift. Each line carries
+the highest level that it has met. Between two rows it crosses the sides and the diagonals of quads. The surface's level along the
+line has its kinks at these crossings and on the rows, and is linear between them. So the maximum of a line over the drawn
+triangles is exact. A quad is cut along the higher of its diagonals (``skugga.terrain.ground.sheet``). Both diagonals can therefore
+be tested, since the other one lies below the surface. Only for the decimated ground of a camera does each quad state its cut.
 
-**Nodes.** A node lies between two lines. What shades it from beyond the row before it is interpolated between their maxima: the
-maximum over a continuous surface is continuous from line to line, so the error falls with the square of their distance. But for
-its tips, which are nodes: the highest one between two lines is remembered and interpolated to and from, or else the nodes in its
-wake would lose it at azimuths that nearly go from node to node. What shades a node from the row before it, where errors would count
-most, is exact on its own line.
+**Nodes.** A node lies between two lines. Shade from beyond the row before the node is interpolated between the maxima of the two
+lines. The maximum over a continuous surface is continuous from line to line, so the error falls with the square of the lines'
+distance. Peaks, which are nodes, are the exception: the lines on either side miss them. So the highest node between two lines is
+stored with its position, and the interpolation goes to it and from it. Otherwise the nodes behind it would lose its shadow at
+azimuths that run almost from node to node. Shade from the row before the node, where errors would count most, is exact on the
+node's own line.
 
-All lines of one number k cross a row at nearly the same place of their cells, so whole runs of them are worked on at once with
-the machine's vector instructions; nothing is gathered, nothing branches.
+**Vectorisation.** All lines of one number k cross a row at nearly the same position within their cells. So whole runs of lines are
+processed at once with vector instructions, without gathers and branches.
 """
 
 from __future__ import annotations
@@ -32,26 +34,34 @@ from skugga.shadows.sweep.points import cubic, cubic_of, on_column, see_points
 from skugga.terrain.compiled import compiled, internal
 
 NO_GROUND_LEVEL = np.float32(-1e30)
-"""Level of a line that has met nothing: a number, not infinity, so that it can be interpolated."""
+"""Level of a line that has met nothing: finite, not -infinity, so that it can be interpolated."""
 
 NO_CUTS = np.zeros(0, np.bool_)
 
 RUN = 512
-"""Lines of a run, at most."""
+"""Maximum number of lines in a run."""
 
 ON_NODE = 0.0, 0.0
-"""Shares of the way to another node where a run of lines goes over nodes."""
+"""Shares of the way to the next node, at both ends of a run of lines that passes over nodes."""
 
 STRAIGHT = 0.01
-"""How far places in a run may be from changing linearly: run by run, they are interpolated between its ends."""
+"""Tolerance in cells for the deviation of a run's positions from linear: a run interpolates them between its two ends."""
 
 
 class TurnedGrid(NamedTuple):
-    """A turned grid (n, m) between two columns of border (``skugga.shadows.sweep.grid.bordered``), with its lines' places.
+    """A turned grid (n, m) between two border columns (``skugga.shadows.sweep.grid.bordered``), with the positions of its lines.
 
-    ``level`` float32 are the nodes' levels, NaN where there is no ground. ``place`` (n, 4) float64 are the cubics that take t to a
-    row's columns, ``at`` (n, 4) those that take columns to t. ``falls`` bool (n - 1, m - 1): whether a quad is cut from (i, j) to
-    (i + 1, j + 1), else from (i, j + 1) to (i + 1, j); empty where each is cut along its higher diagonal.
+    Attributes
+    ----------
+    level
+        float32 (n, m), metres: the levels of the nodes; NaN without ground.
+    place
+        float64 (n, 4): for each row, the cubic that gives the column at t.
+    at
+        float64 (n, 4): for each row, the cubic that gives t at a column.
+    falls
+        bool (n - 1, m - 1): True if a quad is cut from (i, j) to (i + 1, j + 1), False if from (i, j + 1) to (i + 1, j). Empty
+        where each quad is cut along its higher diagonal.
     """
 
     level: np.ndarray
@@ -61,11 +71,21 @@ class TurnedGrid(NamedTuple):
 
 
 class Strip(NamedTuple):
-    """Some lines, so many to a column, and what they have met before a row.
+    """A strip of adjacent lines, and the levels that they have met before a row.
 
-    ``held`` (lines, cells) float32 is of the cells from ``first_cell`` on; ``peaks`` (2, lines, cells) float32 are the highest
-    nodes met between each line and the next, and where there. A strip owns what stands from the start of its second cell to the
-    end of its last but two.
+    A strip is responsible for nodes and points from the start of its second cell to the end of its last cell but two.
+
+    Attributes
+    ----------
+    lines
+        Lines per cell.
+    first_cell
+        Cell of the first column of ``held``.
+    held
+        float32 (lines, cells), metres: the highest level that each line has met.
+    peaks
+        float32 (2, lines, cells): the level of the highest node between each line and the next, and its share of the way between
+        them.
     """
 
     lines: int
@@ -76,10 +96,10 @@ class Strip(NamedTuple):
 
 @compiled
 def sweep_rows(sheet, strip, first, last, shade, lit, points):
-    """Take a strip of lines from before row ``first`` of a sheet to before row ``last``, and see to what lies on the way.
+    """Advance a strip of lines from before row ``first`` of a grid to before row ``last``; evaluate nodes and points on the way.
 
-    Of the nodes of rows (first, last] are written, where these are not empty, ``shade`` (n, m) float32, the level that a node must
-    reach to see the sun, and ``lit`` (n, m) bool. ``points`` are the strip's points besides nodes (``StripPoints``).
+    For the nodes of rows (first, last], write the arrays that are not empty: ``shade`` (n, m) float32, the level above which a node
+    sees the sun, and ``lit`` (n, m) bool. ``points`` are the strip's points besides nodes (``StripPoints``).
     """
     level, place, at, falls = sheet
     lines, first_cell, held, peaks = strip
@@ -98,14 +118,14 @@ def sweep_rows(sheet, strip, first, last, shade, lit, points):
 
 @internal
 def _run_along(p, low, high, times):
-    """How many places from ``low`` to ``high`` a run may have, so that ``times`` their cubic is straight over it."""
+    """Return the maximum length of a run from ``low`` to ``high``: over it, ``times`` the cubic bends by ``STRAIGHT`` at most."""
     bend = times * max(abs(2.0 * p[2] + 6.0 * p[3] * low), abs(2.0 * p[2] + 6.0 * p[3] * high))
     return RUN if bend * RUN * RUN <= 8.0 * STRAIGHT else max(int(np.sqrt(8.0 * STRAIGHT / bend)), 2)
 
 
 @internal
 def _class_of(here, further, t, j):
-    """Of a line: the column left of it less its cell, and whether it crosses the next column before the next row."""
+    """Return twice the column left of a line, less its cell; plus 1 if the line crosses the next column before the next row."""
     x = on_column(cubic(here, t))
     c = int(np.floor(x))
     return 2 * (c - j) + (1 if on_column(cubic(further, t)) > c + 1 else 0)
@@ -113,7 +133,7 @@ def _class_of(here, further, t, j):
 
 @internal
 def _advance(above, below, here, further, lines, cuts, first_cell, held, k):
-    """Take the lines of number ``k`` from before a row to before the next: ``here`` and ``further`` are the cubics of these."""
+    """Advance the lines of number ``k`` from before a row to before the next one; their cubics are ``here`` and ``further``."""
     cells, cols = held.size, above.size
     share = k / lines
     run = _run_along(here, first_cell, first_cell + cells, np.int64(1))
@@ -131,7 +151,7 @@ def _advance(above, below, here, further, lines, cuts, first_cell, held, k):
                     high = middle
             end = high
         crosses = kind % 2 == 1
-        shift = (kind - kind % 2) // 2 + first_cell  # column left of the line, less its place in ``held``
+        shift = (kind - kind % 2) // 2 + first_cell  # column left of the line, less its index in ``held``
         begin = max(start, -shift)
         last = min(end, cols - (2 if crosses else 1) - shift)
         if begin < last:
@@ -147,11 +167,12 @@ def _advance(above, below, here, further, lines, cuts, first_cell, held, k):
 
 @internal
 def _meet(above, below, cuts, column, held, cell, count, f0, f1, s0, s1, crosses):
-    """What a run of ``count`` lines meets from a row on and before the next one, from a ``column`` and a ``cell`` of ``held`` on.
+    """Raise ``count`` lines to the levels that they meet from a row on and before the next one.
 
-    Their places in their cells go from ``f0`` to ``f1``, their ways aside till the next row from ``s0`` to ``s1``.
+    The run starts at ``column`` of the row and at ``cell`` of ``held``. Within their cells the lines' positions go from ``f0`` to
+    ``f1``; their shifts until the next row go from ``s0`` to ``s1``.
     """
-    if f0 == 0.0 and f1 == 0.0:  # on nodes: what may be missing to the right plays no part
+    if f0 == 0.0 and f1 == 0.0:  # on nodes: a missing right neighbour has no effect
         _two(above, column, column, above, column, held, cell, count, ON_NODE, ON_NODE)
     row, rising = (f0, f1), (min((1.0 - f0) / (1.0 + s0), 1.0), min((1.0 - f1) / (1.0 + s1), 1.0))
     if crosses:
@@ -170,18 +191,18 @@ def _meet(above, below, cuts, column, held, cell, count, f0, f1, s0, s1, crosses
 
 @internal
 def _steps(ends, count):
-    """The first of ``count`` even steps between two ends, and how far each is from the one before, float32."""
+    """Return the first of ``count`` even steps between two ends, and the step size, as float32."""
     return np.float32(ends[0]), np.float32((ends[1] - ends[0]) / max(count - 1, 1))
 
 
-# The next loops are written so that they compile to vector instructions: 32-bit counts convert to float32, and what is missing
-# (NaN) compares as lower. Runs are short: to slice a row, which takes hold of it and lets it go, would take as long as the work.
-# Places in it are unsigned, or else a negative one would count from its end.
+# The next loops are written so that they compile to vector instructions: 32-bit counts convert to float32, and missing values
+# (NaN) compare as lower. Runs are short: slicing a row, which counts references, would take as long as the work itself.
+# Indices are unsigned, so that the compiler need not handle negative ones, which count from the end.
 
 
 @internal
 def _pass(above, below, column, held, cell, count, row, rising, falling):
-    """Raise a run of lines to what they meet of one quad each: on its first row and on both of its diagonals."""
+    """Raise a run of lines to the levels that they meet in one quad each: on its first row and on both of its diagonals."""
     p, dp = _steps(row, count)
     q, dq = _steps(rising, count)
     r, dr = _steps(falling, count)
@@ -199,7 +220,10 @@ def _pass(above, below, column, held, cell, count, row, rising, falling):
 
 @internal
 def _cross(above, below, column, held, cell, count, row, rising, side, far):
-    """Raise a run of lines to what they meet of two quads each: on the first row, on the rising diagonals of both, and between."""
+    """Raise a run of lines to the levels that they meet in two quads each.
+
+    They are compared on the first row, on the rising diagonals of both quads, and on the side between the quads.
+    """
     p, dp = _steps(row, count)
     q, dq = _steps(rising, count)
     r, dr = _steps(side, count)
@@ -221,7 +245,7 @@ def _cross(above, below, column, held, cell, count, row, rising, side, far):
 
 @internal
 def _pass_cut(above, below, cuts, held, row, rising, falling):
-    """As ``_pass``, on the diagonals that the quads are cut along."""
+    """Do as ``_pass``, but only on the diagonals along which the quads are cut."""
     count = held.size
     p, dp = _steps(row, count)
     q, dq = _steps(rising, count)
@@ -239,7 +263,7 @@ def _pass_cut(above, below, cuts, held, row, rising, falling):
 
 @internal
 def _cross_cut(above, below, cuts, held, row, rising, side, far):
-    """As ``_cross``, on the diagonals that the quads are cut along."""
+    """Do as ``_cross``, but only on the diagonals along which the quads are cut."""
     count = held.size
     p, dp = _steps(row, count)
     q, dq = _steps(rising, count)
@@ -260,8 +284,10 @@ def _cross_cut(above, below, cuts, held, row, rising, side, far):
 
 @internal
 def _two(row, a, b, other_row, c, held, cell, count, p, q):
-    """Raise a run of levels to what lies between two pairs of nodes: at shares ``p`` of the way from a row's column ``a`` on to its
-    column ``b``, and ``q`` to column ``c`` of another row.
+    """Raise a run of levels to those on two segments between nodes.
+
+    Both segments start in column ``a`` of a row. The first ends in column ``b`` of the same row and is sampled at shares ``p``. The
+    second ends in column ``c`` of another row and is sampled at shares ``q``.
     """
     p0, dp = _steps(p, count)
     q0, dq = _steps(q, count)
@@ -278,7 +304,10 @@ def _two(row, a, b, other_row, c, held, cell, count, p, q):
 
 @internal
 def _nodes(level, place, at, lines, cuts, first_cell, held, peaks, shade, lit, i):
-    """The nodes of row ``i + 1``: what shades them from row ``i`` on, exactly, and from before, between the lines."""
+    """Evaluate the nodes of row ``i + 1``.
+
+    Shade from row ``i`` on is exact. Shade from before that row is interpolated between the lines.
+    """
     cols, cells = level.shape[1], held.shape[1]
     here, before, further = cubic_of(at, i + 1), cubic_of(place, i), cubic_of(place, i + 1)
     first = _first_from(further, here, first_cell + 1, cols)
@@ -319,7 +348,7 @@ def _remember(level, place, at, lines, first_cell, peaks, i):
 
 @internal
 def _raise_peaks(row, first, between, peaks, k, cell, count):
-    """Remember nodes that stand higher between their lines than what was remembered there."""
+    """Store nodes that are higher than the stored peak between their lines."""
     per = 1.0 / max(count - 1, 1)
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
     k = np.uintp(k)
@@ -347,19 +376,19 @@ def _sees(seen, row, lit, i, first, count):
 
 @internal
 def _line_of(at, column, lines):
-    """Where among the lines a row's node stands, a whole number on a line."""
+    """Return the position of a row's node among the lines; a whole number if it lies on a line."""
     return on_column(cubic(at, np.float64(column)) * lines)
 
 
 @internal
 def _aside(place, at, column):
-    """How far from the left the ray over a node comes: columns from where it crosses the row before."""
+    """Return how many columns to the left the ray over a node crosses the row before."""
     return column - on_column(cubic(place, cubic(at, np.float64(column))))
 
 
 @internal
 def _run_of_nodes(at, first, last, lines):
-    """Where the run of nodes from ``first`` ends whose left lines have one number, and the first one's left line."""
+    """Return the end of the run of nodes from ``first`` on whose left lines have one number, and the first node's left line."""
     number = int(np.floor(_line_of(at, first, lines)))
     if int(np.floor(_line_of(at, last - 1, lines))) - lines * (last - 1 - first) == number:
         return last, number
@@ -375,7 +404,10 @@ def _run_of_nodes(at, first, last, lines):
 
 @internal
 def _first_from(place, at, t, cols):
-    """The first column of a row, borders apart, whose t is no less than one: by ``at`` alone, so that strips share all nodes."""
+    """Return the first column of a row, without borders, whose t is at least ``t``.
+
+    The comparison uses ``at`` alone, so that adjacent strips divide all nodes between them.
+    """
     column = min(max(int(np.ceil(cubic(place, np.float64(t)))), 1), cols - 1)
     while column > 1 and cubic(at, np.float64(column - 1)) >= t:
         column -= 1
@@ -386,9 +418,10 @@ def _first_from(place, at, t, cols):
 
 @internal
 def _see_between(held, k, cell, right, right_cell, peaks, between, count, out):
-    """The level of the rays over a run of nodes as far as the row before them, into an array (count,) float32: what the lines of
-    number ``k`` from a ``cell`` on hold, those to their right, and the peaks between. ``between``: how far the nodes stand between
-    their lines, from first to last.
+    """Compute the shadow levels over a run of nodes as far as the row before them, into ``out`` (count,) float32.
+
+    They are interpolated from the levels of the lines of number ``k`` from a ``cell`` on, of the lines to their right, and of the
+    peaks between. ``between`` holds the shares of the first and the last node on the way between their lines.
     """
     per = 1.0 / max(count - 1, 1)
     e, de = np.float32(between[0]), np.float32((between[1] - between[0]) * per)
@@ -397,11 +430,11 @@ def _see_between(held, k, cell, right, right_cell, peaks, between, count, out):
         c = np.uintp(cell + n)
         left_held, right_held = held[k, c], held[right, np.uintp(right_cell + n)]
         w = e + de * np.float32(np.int32(n))
-        met = (np.float32(1.0) - w) * left_held + w * right_held  # exact at w = 1 even where one has met nothing
+        met = (np.float32(1.0) - w) * left_held + w * right_held  # exact at w = 1 even where one line has met nothing
         a, top = peaks[1, k, c], peaks[0, k, c]
         rising = w < a
         b = w / max(a, np.float32(1e-6)) if rising else (w - a) / max(np.float32(1.0) - a, np.float32(1e-6))
-        b = min(max(b, np.float32(0.0)), np.float32(1.0))  # places are right to ``STRAIGHT``
+        b = min(max(b, np.float32(0.0)), np.float32(1.0))  # positions are accurate to ``STRAIGHT`` only
         over = (np.float32(1.0) - b) * (left_held if rising else top) + b * (top if rising else right_held)
         peaked = top > (np.float32(1.0) - a) * left_held + a * right_held
         out[n] = over if peaked and over > met else met
@@ -409,17 +442,17 @@ def _see_between(held, k, cell, right, right_cell, peaks, between, count, out):
 
 @internal
 def _see_near(above, here, cuts, first, aside, count, out):
-    """Raise the levels of the rays over a run of nodes from column ``first`` on to what they meet from the row before on.
+    """Raise the shadow levels over a run of nodes from column ``first`` on to the levels that their rays meet from the row before.
 
-    ``aside``: how far their rays come from the left, from first to last.
+    ``aside`` holds how many columns to the left the rays of the first and the last node cross the row before.
     """
-    start = np.int64(0)  # no literal, for which ``_two`` would be compiled once more
-    if max(aside[0], aside[1]) == 0.0:  # straight down: what may be missing to the left plays no part
+    start = np.int64(0)  # not a literal, for which ``_two`` would be compiled again
+    if max(aside[0], aside[1]) == 0.0:  # straight down: a missing left neighbour has no effect
         _two(above, first, first, above, first, out, start, count, ON_NODE, ON_NODE)
         return
-    if min(aside[0], aside[1]) == 1.0:  # along the quads' falling diagonals: nor does what may be missing behind
+    if min(aside[0], aside[1]) == 1.0:  # along the quads' falling diagonals: a missing right neighbour has no effect
         _two(above, first - 1, first - 1, above, first - 1, out, start, count, ON_NODE, ON_NODE)
-    # And the rising diagonal of the quad to the left: the falling one ends in the node itself.
+    # Add the rising diagonal of the quad to the left: the falling one ends in the node itself.
     rising = aside[0] / (1.0 + aside[0]), aside[1] / (1.0 + aside[1])
     if cuts.size:
         left_of = np.empty(count, np.float32)

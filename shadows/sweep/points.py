@@ -1,4 +1,4 @@
-"""The line sweep's answers for single points: on the ground between nodes, and above it on meshes and trees."""
+"""Evaluate the line sweep at single points: on the ground between nodes, and above the ground on meshes and trees."""
 
 from __future__ import annotations
 
@@ -9,19 +9,33 @@ import numpy as np
 from skugga.terrain.compiled import compiled, internal
 
 ON_COLUMN = 1e-9
-"""How far from a column, in cells, a line runs on it: under suns along the axes and diagonals all lines do, but for rounding, and
-must not meet what lies on either side by turns.
+"""Tolerance in cells within which a line runs on a column.
+
+Under suns along the axes and diagonals all lines do so, except for rounding. Without the tolerance they would meet the quads on
+one side and on the other in turn.
 """
 
 
 class StripPoints(NamedTuple):
-    """Points (n,) of a strip besides nodes: (rows + 1,) where those of each row interval (i, i + 1] begin, and in their order
-    ``row``, ``col`` and ``t``, which say where they are, and their ``own`` levels (NaN: on the ground there). A column and a t say
-    the same but for ground that is higher or lower than the lines were placed for: it stands aside. Points of the ground go by
-    their column, as nodes do, so that they lie over their own triangles.
+    """Points (n,) of a strip, besides nodes, in the order of their row intervals.
 
-    Written are ``above_m``, by how much the highest level on the way exceeds a point's, and ``lit``, whether that is no more than
-    ``rounding``.
+    A point has a column and a t. They differ only where ground lies above or below the height for which the lines were computed:
+    it is shifted sideways. Points of the ground use their column, as nodes do, so that they lie over their own triangles.
+
+    Attributes
+    ----------
+    begins
+        int64 (rows + 1,): the first point of each row interval (i, i + 1].
+    row, col, t
+        float64 (n,): positions; columns count the left border.
+    own
+        float64 (n,), metres: the points' levels; NaN: on the ground at their position.
+    rounding
+        Metres by which a level must exceed a point's to shade it.
+    lit
+        bool (n,), output: True unless the highest level on the way exceeds the point's by more than ``rounding``.
+    above_m
+        float32 (n,), output: metres by which the highest level on the way exceeds the point's.
     """
 
     begins: np.ndarray
@@ -35,22 +49,24 @@ class StripPoints(NamedTuple):
 
 
 def no_points(rows: int) -> StripPoints:
-    """No points at all, of a grid of so many rows."""
+    """Return an empty set of points, for a grid of so many rows."""
     none = np.zeros(0)
     return StripPoints(np.zeros(rows + 1, np.int64), none, none, none, none, 0.0, np.zeros(0, np.bool_), np.zeros(0, np.float32))
 
 
 @compiled
 def intervals_of(first, last, row, rows, out):
-    """The row intervals (i, i + 1] of a grid of some ``rows`` that points lie in: i (n,), of points ``first`` to ``last``."""
+    """Write i (n,) of the row intervals (i, i + 1] that contain points ``first`` to ``last``, in a grid of ``rows`` rows."""
     for n in range(first, last):
         out[n] = min(max(np.int32(np.ceil(row[n])) - 1, 0), rows - 2)
 
 
 @compiled
 def in_strip(row, col, t, own, interval, rows, start, stop):
-    """The points (n,) whose t is from ``start`` on and before ``stop``, in the order of their row intervals: their numbers, and
-    what ``StripPoints`` has of them, up to ``own``. Columns count the left border.
+    """Return the points whose t lies in [start, stop), in the order of their row intervals.
+
+    The result holds their numbers among the points (n,), and the fields of ``StripPoints`` from ``begins`` up to ``own``. The
+    returned columns count the left border, the given ones do not.
     """
     begins = np.empty(rows + 1, np.int64)
     begins[:] = 0
@@ -72,14 +88,14 @@ def in_strip(row, col, t, own, interval, rows, start, stop):
 
 @compiled
 def put_answers(number, its_lit, its_above_m, lit, above_m):
-    """Put a strip's answers where its points have their numbers."""
+    """Write a strip's results to the numbers of its points."""
     for k in range(number.size):
         lit[number[k]], above_m[number[k]] = its_lit[k], its_above_m[k]
 
 
 @internal
 def see_points(sheet, strip, i, points):
-    """Points of rows (i, i + 1] of a ``TurnedGrid``, while the lines of a ``Strip`` stand before row ``i``."""
+    """Evaluate the points in rows (i, i + 1] of a ``TurnedGrid`` while the lines of a ``Strip`` stand before row ``i``."""
     level, place, at, falls = sheet
     lines, first_cell, held, _ = strip
     begins, row, col, t, own, rounding, lit, above_m = points
@@ -91,7 +107,7 @@ def see_points(sheet, strip, i, points):
         end, before = row[n] - i, t[n]
         x = on_column(cubic(here, before))
         s = on_column(cubic(further, before)) - x
-        if np.isnan(own[n]):  # on the ground: over its own triangle
+        if np.isnan(own[n]):  # on the ground: use the column, to stay over its own triangle
             x = on_column(col[n] - s * end)
             before = cubic(columns, x)
         c = int(np.floor(x))
@@ -123,41 +139,41 @@ def see_points(sheet, strip, i, points):
 
 @internal
 def cubic_of(rows, i):
-    """A row's cubic (4,), as numbers."""
+    """Return a row's cubic (4,) as a tuple of numbers."""
     return rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
 
 
 @internal
 def cubic(p, x):
-    """The value of a cubic (4,) at a place."""
+    """Return the value of a cubic (4,), constant term first, at ``x``."""
     return p[0] + x * (p[1] + x * (p[2] + x * p[3]))
 
 
 @internal
 def on_column(x):
-    """A place across the columns; the column itself where it lies on one but for rounding."""
+    """Return a column coordinate, snapped to the nearest column within ``ON_COLUMN``."""
     column = np.rint(x)
     return column if abs(x - column) < ON_COLUMN else x
 
 
 @internal
 def _higher(highest, a, b, share):
-    """The higher of a level and of the one at a share of the way from ``a`` to ``b``, if there is ground."""
+    """Return the maximum of a level and of the level at a share of the way from ``a`` to ``b``; without ground the first."""
     value = np.float64(a)
-    if share > 0.0:  # else b may be missing
+    if share > 0.0:  # otherwise b may be NaN
         value += share * (np.float64(b) - value)
     return value if value > highest else highest
 
 
 @internal
 def is_cut(falls, i, c, falling):
-    """Whether the ground may bend on a diagonal of quad (i, c), by a ``TurnedGrid``'s cuts; on either where there are none."""
+    """Return whether the ground may bend on a diagonal of quad (i, c): on either one where a ``TurnedGrid`` states no cuts."""
     return falls.size == 0 or falls[i, c] == falling
 
 
 @internal
 def ground_at(above, below, c, u, v, falls, i):
-    """The ground's level ``u`` columns right of column ``c`` and ``v`` rows below row ``i``; NaN where there is none."""
+    """Return the ground's level ``u`` columns right of column ``c`` and ``v`` rows below row ``i``; NaN without ground."""
     c += int(np.floor(u))
     u -= np.floor(u)
     if c < 0 or c + 1 >= len(above):
@@ -167,4 +183,4 @@ def ground_at(above, below, c, u, v, falls, i):
     rising = nw + u * (ne - nw) + v * (sw - nw) if u + v < 1.0 else se + (1.0 - u) * (sw - se) + (1.0 - v) * (ne - se)
     if falls.size:
         return falling if falls[i, c] else rising
-    return falling if falling > rising or np.isnan(rising) else rising  # with a corner missing, the cut beside it
+    return falling if falling > rising or np.isnan(rising) else rising  # where a corner is missing, the cut beside it

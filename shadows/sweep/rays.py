@@ -1,4 +1,4 @@
-"""The sun's rays over a map grid: where they run, and which ground they pass on the way to a view."""
+"""The sun's rays over a map grid: their positions on the grid, and the ground that they pass on the way to a view."""
 
 from __future__ import annotations
 
@@ -30,24 +30,44 @@ from skugga.terrain.ground.surface import HeightWindow, NodeHeights
 from skugga.terrain.scene import Scene
 
 FITTED_POINTS = 256
-"""Points whose places are computed exactly, and that the places of more are fitted to."""
+"""Number of points whose positions are computed exactly; those of all others are fitted to them."""
 
 FITTED_NODES = 0.01
-"""How far, in nodes, fitted places may lie beside the exact ones. What a ray passes is found by its t, which is never fitted."""
+"""Tolerance in nodes of fitted positions. The ground that a ray passes depends on its t, which is never fitted."""
 
 SAME_TERM = 1e-9
-"""Share of the largest part that a term has of its own by which the fit's smallest counts as none."""
+"""Tolerance of the rank of the fit's terms, as a share of the largest pivot: with a smaller one the terms depend on one another."""
 
 LEAN = 0.05
-"""Columns by which rays that run to the right at one place of a view may run to the left at another: the earth is round."""
+"""Tolerance in columns per row: on the round earth, rays that shift right at one position may shift left by this at another."""
 
 
 @dataclass(frozen=True, eq=False)
 class SunRays:
-    """Rays over a grid. A place's t is its coordinate to the right in ``light``, less ``right_m``, in cells of ``cell_m`` (negative
-    where columns of the turned grid run to the left); its level is the one up, less ``level_m``; ``rise`` is what a metre of height
-    adds to it. ``height_m`` is the ground's middling height, for which the rays' places on the grid are computed. ``aside`` is by
-    how many columns of the turned grid rays run to the right from row to row, at the place that they are computed for.
+    """The sun's rays over a grid.
+
+    Attributes
+    ----------
+    scene
+        The scene.
+    light
+        Light space, turned until its right axis is horizontal at the rays' reference position.
+    grid
+        The map grid at full detail.
+    turn
+        Orientation of the turned grid.
+    height_m
+        Metres: the ground's mean height, for which the rays' positions on the grid are computed.
+    right_m
+        Metres: light space's right coordinate at t = 0.
+    cell_m
+        Metres of light space's right axis per unit of t; negative where columns of the turned grid run to the left.
+    level_m
+        Metres: light space's up coordinate at level 0.
+    rise
+        Change of the level per metre of height.
+    aside
+        Columns of the turned grid by which rays shift to the right per row, at the reference position.
     """
 
     scene: Scene
@@ -64,7 +84,7 @@ class SunRays:
     def t_level_towards(
         self, point_frame_m: np.ndarray, frame: LocalFrame, which: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """t, levels, and metres towards the sun (n,) of those points (..., 3) of a frame that have some numbers (n,)."""
+        """Return t, levels and metres towards the sun (n,) of the points (..., 3) of a frame with flat indices ``which`` (n,)."""
         out = np.empty((3, len(which)))
         in_shares(
             len(which), _in_rays, point_frame_m.reshape(-1, 3), which, *self.light.from_frame(frame), self.right_m, self.cell_m,
@@ -73,10 +93,10 @@ class SunRays:
         return out[0], out[1], out[2]
 
     def rows_and_columns(self, point_frame_m: np.ndarray, frame: LocalFrame, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns (n,) on the grid, right to ``FITTED_NODES``, of those points (..., 3) of a frame that have some numbers
-        (n,).
+        """Return rows and columns (n,) on the grid of the points (..., 3) of a frame with flat indices ``which`` (n,).
 
-        Of many points most are placed by cubics that are fitted to some: PROJ takes a microsecond for each.
+        They are accurate to ``FITTED_NODES``. For many points, cubics are fitted to the exact positions of a few: PROJ takes a
+        microsecond per point.
         """
         points = point_frame_m.reshape(-1, 3)
         if len(which) <= 2 * FITTED_POINTS:
@@ -95,19 +115,19 @@ class SunRays:
         return self.grid.row(y), self.grid.col(x)
 
     def turned(self, values: np.ndarray) -> np.ndarray:
-        """Values (rows, cols) float32 of the grid's nodes in the turned grid's order, between borders."""
+        """Return values (rows, cols) float32 of the grid's nodes in the turned grid's order, between borders."""
         with_border, inside = bordered(*(values.shape[::-1] if self.turn.swapped else values.shape))
         copy_into(values, self.turn.back(inside))
         return close_border(with_border)
 
     def turned_window(self, row: int, col: int, shape: tuple[int, int], rows: int, cols: int) -> Window:
-        """The rows and columns of the turned grid in which a window of a grid (rows, cols) lies."""
+        """Return the rows and columns of the turned grid that hold a window of a grid (rows, cols)."""
         ends = self.turn.onto(np.array([row, row + shape[0] - 1]), np.array([col, col + shape[1] - 1]), rows, cols)
         (top, bottom), (left, right) = ((int(axis.min()), int(axis.max()) + 1) for axis in ends)
         return (top, bottom), (left, right)
 
     def places(self, detail: int, row0: int, col0: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """``sweep_grid.places`` of a window of the grid of every 2**detail-th node."""
+        """Return ``position_cubics`` of a window of the grid at a level of detail, every 2**detail-th node."""
         grid = self.grid.coarser(detail)
 
         def t_of(i: np.ndarray, j: np.ndarray) -> np.ndarray:
@@ -118,18 +138,18 @@ class SunRays:
         return position_cubics(t_of, *((cols, rows) if self.turn.swapped else (rows, cols)), self.grid.crs.name)
 
     def put_levels(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
-        """Put the levels of windows' nodes into arrays (rows, cols) float32."""
+        """Write the levels of the nodes of windows into arrays (rows, cols) float32."""
         up = self.light.light_from_earth[1]
         self.scene.surface(self.grid.coarser(detail)).along(up, self.light.origin_earth_m + self.level_m * up, windows, out)
 
     def put_towards(self, detail: int, windows: list[NodeHeights], out: list[np.ndarray]) -> None:
-        """Put how far towards the sun windows' nodes lie, metres, into arrays (rows, cols) float32."""
+        """Write the metres towards the sun of the nodes of windows into arrays (rows, cols) float32."""
         towards = -self.light.light_from_earth[2]
         self.scene.surface(self.grid.coarser(detail)).along(towards, self.light.origin_earth_m, windows, out)
 
 
 def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
-    """The rays over a grid round one of its places."""
+    """Return the sun's rays over a grid, with the given row and column as their reference position."""
     height_m = float(np.mean(scene.height_range_m))
     cells = np.array([[0, 0], [-1, 0], [1, 0], [0, -1], [0, 1]], float) + (row, col)
     point, up = scene.world.ground(grid.crs, grid.x(cells[:, 1]), grid.y(cells[:, 0]))
@@ -137,7 +157,7 @@ def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
     light = upright(scene.light, up[0])
     space = light.from_earth(point + height_m * up)
     per_row, per_col = (space[2] - space[1]) / 2.0, (space[4] - space[3]) / 2.0
-    towards = np.array([per_col[0], -per_row[0]])  # along it, nothing moves to the right
+    towards = np.array([per_col[0], -per_row[0]])  # in this direction light space's right coordinate is constant
     towards *= np.sign(light.towards_sun_m(towards[0] * per_row + towards[1] * per_col)) or 1.0
     turn = orientation_towards(*towards)
     across = (per_row if turn.swapped else per_col)[0]
@@ -148,9 +168,10 @@ def rays_over(scene: Scene, grid: Grid, row: float, col: float) -> SunRays:
 
 
 def upright(light: LightSpace, up: np.ndarray) -> LightSpace:
-    """The light space turned about the sun's direction until right is horizontal, and up not downwards, where ``up`` (3,) is up.
+    """Return the light space turned about the sun's direction: right is horizontal, and up does not point down, where ``up`` is up.
 
-    The level's own is so at its anchor. Elsewhere ground that is higher would stand aside of the rays that pass over its foot.
+    The level's own light space has this property at its anchor only. Elsewhere higher ground would be shifted beside the rays that
+    pass over its foot.
     """
     right, forward, away = light.light_from_earth
     aside, rise = right @ up, forward @ up
@@ -161,9 +182,22 @@ def upright(light: LightSpace, up: np.ndarray) -> LightSpace:
 
 @dataclass(frozen=True, eq=False)
 class GroundWindow:
-    """A window (rows, cols) of the grid of every 2**detail-th node, from ``row0`` and ``col0`` on: its turned sheet, and how far
-    its nodes lie towards the sun, float32, turned and bordered likewise (empty where nobody asked). Before the turned row ``begin``
-    there is no ground.
+    """A window (rows, cols) of a grid at one level of detail, turned for the sweep.
+
+    Attributes
+    ----------
+    detail
+        Level of detail: every 2**detail-th node of the finest grid.
+    row0, col0
+        First node of the window.
+    shape
+        Rows and columns of the window before turning.
+    sheet
+        The turned grid.
+    towards_m
+        float32, turned and with borders: metres of the nodes towards the sun; empty unless the sun is a disc.
+    begin
+        First turned row that may hold ground.
     """
 
     detail: int
@@ -175,7 +209,7 @@ class GroundWindow:
     begin: int = 0
 
     def tilted(self, angle: float) -> TurnedGrid:
-        """The sheet for a sun that stands higher by an angle, radians."""
+        """Return the turned grid for a sun that is higher by an angle in radians."""
         if angle == 0.0:
             return self.sheet
         level = np.float32(np.cos(angle)) * self.sheet.level - np.float32(np.sin(angle)) * self.towards_m
@@ -185,8 +219,9 @@ class GroundWindow:
 def grounds_of_block(
     rays: SunRays, block: NodeHeights, patches: Iterable[Patch], soft: bool, idle: Collection[Patch] = ()
 ) -> list[GroundWindow]:
-    """The ground that casts on a map's block, by detail: the coarsest first, its own last. ``soft``: with ``towards_m``. Patches
-    that are ``idle`` throw no shadow on it, and are not read.
+    """Return the ground that casts shadows on a map's block, by level of detail: the coarsest first, the block's own last.
+
+    ``soft`` asks for ``towards_m``. ``idle`` patches cast no shadow on the block, and are not read.
     """
     patches = [patch for patch in patches if not (patch.level and _lies_behind(rays, patch, block))]
     grounds: list[GroundWindow] = []
@@ -196,13 +231,16 @@ def grounds_of_block(
         before = [patch for patch in there if patch not in idle and not _lies_behind(rays, patch, block)]
         windows = [surface.height_window(*window) for window in patch_windows(before)]
         if detail and not windows and not grounds:
-            continue  # nothing is handed over
+            continue  # no levels to pass on
         grounds.append(_ground(rays, detail, windows if detail else [block, *windows], soft, there))
     return grounds
 
 
 def patch_windows(patches: list[Patch]) -> list[tuple[int, int, int, int]]:
-    """Windows of nodes, first row and column and size, that cover patches in rows and columns of them, and nothing else."""
+    """Return windows of nodes (first row, first column, rows, columns) that cover exactly the given patches.
+
+    Rows and columns of adjacent patches are merged into one window.
+    """
     runs: dict[tuple[int, int], list[int]] = {}  # first and last column of runs -> first and last row
     windows = []
     rows: dict[int, list[int]] = {}
@@ -224,9 +262,10 @@ def patch_windows(patches: list[Patch]) -> list[tuple[int, int, int, int]]:
 
 
 def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
-    """Whether the lines pass a patch, which lies beside a block, after the block if at all: on the turned grid they run down and to
-    the right, but for some that may lean to the left where all run nearly straight down. Those a coarse patch does without: what it
-    hands over has to lie towards the sun.
+    """Return whether the lines pass a patch beside a block only after the block, if at all.
+
+    On the turned grid lines run down and to the right. Where all of them run almost straight down, some may run to the left. For a
+    coarse patch these are ignored: it must lie towards the sun to pass on its levels.
     """
     side = PATCH_QUADS * 2**patch.level
     rows, cols = block.shape
@@ -238,10 +277,10 @@ def _lies_behind(rays: SunRays, patch: Patch, block: NodeHeights) -> bool:
 
 @cached("light", 1024 * MIB)
 def ground_of_level(scene: Scene, drawn: GroundMesh, frame: LocalFrame, soft: bool) -> tuple[SunRays, GroundWindow]:
-    """The ground that a perspective view draws, on its grid's nodes, and the rays over it; the last one is kept.
+    """Return the rays over the ground of a perspective view, and that ground on its grid's nodes. The last result is cached.
 
-    Where the drawn ground leaves out nodes, these lie on the triangles that are drawn, which cut across the bent earth, and quads
-    are cut as the triangles' sides cut them.
+    Where the drawn ground is decimated, dropped nodes lie on the drawn triangles, which cut across the curved earth. Quads are cut
+    along the triangles' sides.
     """
     nodes = ground_nodes(scene)
     rows, cols = nodes.height_m.shape
@@ -259,8 +298,9 @@ def ground_of_level(scene: Scene, drawn: GroundMesh, frame: LocalFrame, soft: bo
 
 
 def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, patches: Iterable[Patch] = ()) -> GroundWindow:
-    """One sheet over windows of heights, as large as if ``patches`` were among them: the lines' places hang on that. Where there is
-    no window, there is no ground.
+    """Return one turned grid over windows of heights.
+
+    It covers ``patches``, too, since the positions of lines depend on its size. Outside of all windows it holds no ground.
     """
     starts = [(w.row0, w.col0) for w in windows] + [(p.row * PATCH_QUADS, p.col * PATCH_QUADS) for p in patches]
     ends = [(w.row0 + w.shape[0], w.col0 + w.shape[1]) for w in windows]
@@ -270,7 +310,7 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
 
     spans = [rays.turned_window(w.row0 - row0, w.col0 - col0, w.shape, rows, cols) for w in windows]
     begin = max(min((first for (first, _), _ in spans), default=rows) - 1, 0)
-    known = (0, None) if soft or detail else (begin, max(end for (_, end), _ in spans))  # no row but these is looked at
+    known = (0, None) if soft or detail else (begin, max(end for (_, end), _ in spans))  # no other row is read
 
     def turned(put: Callable[[int, list[NodeHeights], list[np.ndarray]], None]) -> np.ndarray:
         with_border, inside = bordered(*((cols, rows) if rays.turn.swapped else (rows, cols)), slice(*known), *spans[:1])
@@ -286,8 +326,9 @@ def _ground(rays: SunRays, detail: int, windows: list[NodeHeights], soft: bool, 
 
 @compiled
 def _on_triangles(corner, value, triangles, rows, cols):
-    """Values (rows, cols) float32 of the nodes on triangles whose corners (row, column) are nodes with values (n,); NaN beside
-    them.
+    """Interpolate the values (n,) of triangles' corners at all nodes: float32 (rows, cols), NaN outside of the triangles.
+
+    ``corner`` holds the row and column of each corner, which is a node.
     """
     out = np.full((rows, cols), np.nan, np.float32)
     for n in range(len(triangles)):
@@ -307,7 +348,7 @@ def _on_triangles(corner, value, triangles, rows, cols):
 
 @compiled
 def _falling_quads(corner, triangles, rows, cols):
-    """Which quads (rows - 1, cols - 1) a triangle's side cuts from north-west to south-east; one that no side cuts is plane."""
+    """Return which quads (rows - 1, cols - 1) a triangle's side cuts from north-west to south-east. Uncut quads are planar."""
     falls = np.zeros((rows - 1, cols - 1), np.bool_)
     for n in range(len(triangles)):
         for k in range(3):
@@ -319,24 +360,24 @@ def _falling_quads(corner, triangles, rows, cols):
 
 
 def _cubic_terms(p: np.ndarray) -> np.ndarray:
-    """Terms (n, 13) of points (n, 3): cubic along the ground, linear in height."""
+    """Return the terms (n, 13) of points (n, 3): cubic along the ground, linear in height."""
     x, y, z = p.T
     return np.stack([np.ones_like(x), x, y, z, x * x, x * y, y * y, x * z, y * z, x**3, x * x * y, x * y * y, y**3], axis=1)
 
 
 def _fitted(terms: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Factors (k, 2) by which terms (n, k) come nearest to values (n, 2)."""
+    """Return the least-squares factors (k, 2) that map terms (n, k) to values (n, 2)."""
     q, r = np.linalg.qr(terms)
     diagonal = np.abs(np.diagonal(r))
     if diagonal.min() > SAME_TERM * diagonal.max():
         return np.linalg.solve(r, q.T @ exact)
-    return np.linalg.lstsq(terms, exact, rcond=None)[0]  # points of a plane: some terms say the same
+    return np.linalg.lstsq(terms, exact, rcond=None)[0]  # coplanar points: some terms depend on one another
 
 
 def _placed(
     points: np.ndarray, which: np.ndarray, middle: np.ndarray, scale: float, known: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sums of the terms of those points (m, 3) that have some numbers (n,) with two columns of factors (13, 2)."""
+    """Return the sums of terms times factors ``known`` (13, 2), for the points (m, 3) with indices ``which`` (n,)."""
     out = np.empty((2, len(which)))
     in_shares(len(which), _sum_of_terms, points, which, middle, scale, known, out)
     return out[0], out[1]
@@ -357,7 +398,7 @@ def _sum_of_terms(first, last, points, which, middle, scale, known, out):
 
 @compiled
 def _in_rays(first, last, points, which, rotation, translation, right_m, cell_m, level_m, out):
-    """t, level and metres towards the sun of those points (m, 3) that have some numbers (n,)."""
+    """Write t, level and metres towards the sun of the points (m, 3) with indices ``which`` (n,)."""
     for n in range(first, last):
         p = points[which[n]]
         right = rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2] + translation[0]

@@ -1,4 +1,4 @@
-"""Settings of the line sweep, and what they are resolved from."""
+"""Settings of the line sweep, and their resolution from a request."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from skugga.shadows.algorithm import AlgorithmSettings, ResolvedSettings, Settin
 
 
 class SweepSettings(AlgorithmSettings):
-    """Settings of the line sweep: lines per column of the ground's grid, and whether the sun is a point or its disc."""
+    """Settings of the line sweep: the lines per column of the ground's grid, and whether the sun is a point or a disc."""
 
     lines: int = Field(default=8, ge=1, le=16)
     filter: Literal[1, "sun"] = 1
 
 
 def resolve_sweep(request: SettingsRequest) -> ResolvedSettings:
-    """Settings of the line sweep: of the filters it has the sun's disc alone."""
+    """Return the settings of the line sweep, and the reason if a requested filter has no effect: only ``sun`` has one."""
     soft = request.sharpened.filter == "sun"
     return SweepSettings(filter="sun" if soft else 1), request.without_filter("sweep", "sun")

@@ -1,24 +1,26 @@
-"""`sweep`: the sun's shadows of a heightfield by lines along the sun's azimuth, in time linear in its nodes; no OpenGL.
+"""`sweep`: the sun's shadows of a heightfield by lines along the sun's azimuth, in time linear in its nodes, without OpenGL.
 
-``skugga.shadows.sweep.lines`` says how. The ground that casts is the drawn one at full detail, and every azimuth is as good as any
-other. Ground alone casts; what is shaded may be anything that stands on it: a line knows at each place the height above which the
-sun is seen.
+``skugga.shadows.sweep.lines`` describes the algorithm. The ground that casts shadows is the drawn ground at full detail. Accuracy
+does not depend on the azimuth. Only ground casts shadows, but anything that stands on it receives them: at each position a line
+gives the height above which the sun is visible.
 
-**Windows.** Ground towards the sun comes in patches, ever more coarsely from some distance on (``skugga.terrain.casters.reach``).
-Each detail is swept in its turn, the coarsest first, and hands over to the next what its lines have met: the order along a line
-does not matter, only that all of it lies towards the sun. Within a detail strips of lines go their own way, on several cores.
+**Windows.** Ground towards the sun comes in patches, with a coarser level of detail farther away
+(``skugga.terrain.casters.reach``). Each level of detail is swept separately, the coarsest first. It passes the levels that its
+lines have met to the next one. This is valid since a maximum does not depend on the order along a line, if all of that ground lies
+towards the sun. Within a level of detail, strips of lines are independent, and run on several cores.
 
-**Lines.** A place's t is its light-space coordinate to the right, in cells: the same for all points of a ray. Where the rays run
-on a grid is computed for ground of middling height. The vertical leans by a hundredth of a degree per kilometre, so ground that
-is higher by h stands aside by that share of it, metres at the far corners of a wide block.
+**Lines.** The t of a position is its right coordinate in light space, in cells: the same for all points of a ray. The rays'
+positions on a grid are computed for ground of mean height. The vertical leans by a hundredth of a degree per kilometre. So ground
+that is higher by h is shifted sideways by that share of h, which is metres at the far corners of a wide block.
 
-**The sun's disc** (``filter`` sun) is cut into horizontal strips of equal area, each swept for its middle: suns of one azimuth
-share lines and points, and only the levels are tilted. The horizon is taken to be level over the disc's half degree.
+**The sun's disc** (``filter`` sun) is cut into horizontal strips of equal area. Each is swept for its centre. Suns of one azimuth
+share lines and points; only the levels are tilted. The horizon is assumed level over the half degree of the disc.
 
-**Points.** A map's nodes are answered where they lie. Other points are sorted into the rows that they lie between. Those of the
-ground take their level from the very triangles that cast. In perspective these are the drawn ground's, decimated or not.
+**Points.** A map's nodes are evaluated at their positions. Other points are sorted into the row intervals that contain them. Points
+of the ground take their level from the triangles that cast shadows. In perspective these are the triangles of the drawn ground,
+decimated or not.
 
-**Columns.** Over ground that is upright columns each point has its own ray (``skugga.shadows.sweep.columns``).
+**Columns.** Over ground of upright columns each point has its own ray (``skugga.shadows.sweep.columns``).
 """
 
 from __future__ import annotations
@@ -51,13 +53,13 @@ from skugga.terrain.scene import Scene
 PASSES = ("sweep",)
 
 LEVEL_ROUNDING = 8.0 * float(np.finfo(np.float32).eps)
-"""What float32 makes of a level, as a share of the levels' range: what is higher by less shades no point."""
+"""float32 rounding of a level, as a share of the largest level: ground that is higher by less shades no point."""
 
 STRIPS = 16
-"""Horizontal strips that the sun's disc is cut into for its penumbra."""
+"""Horizontal strips of the sun's disc for its penumbra."""
 
 LEAST_LINES = 2
-"""Lines to a column of nodes that are averaged, at least: a pixel as a whole has as many lines as it would have by itself."""
+"""Minimum number of lines per column of supersampled nodes: a whole pixel has as many lines as it has without supersampling."""
 
 
 def fill(
@@ -69,9 +71,34 @@ def fill(
     settings: SweepSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """Visibility of the sun (rows, cols), float32 in [0, 1], for a buffer's points past the ground.
+    """Return the visibility of the sun at a buffer's points, as far as the ground hides it.
 
-    Where there is no surface the value means nothing. Raises ``UnsupportedError`` where the sun's rays are too bent.
+    Parameters
+    ----------
+    buffer
+        The points (rows, cols).
+    scene
+        The scene.
+    light
+        The name of the sun.
+    kinds
+        The kinds of casters.
+    casters
+        The ground that can cast shadows on the points.
+    settings
+        The lines per column, and the filter.
+    log
+        The record of passes, which also keeps the layer ``shadow-height``.
+
+    Returns
+    -------
+    np.ndarray
+        float32 (rows, cols) in [0, 1]; undefined where the buffer shows no surface.
+
+    Raises
+    ------
+    UnsupportedError
+        The sun's rays bend too much across the view.
     """
     (sweep_pass,) = log.named(light, kinds, PASSES)
     with log.run(sweep_pass) as record:
@@ -95,7 +122,7 @@ def fill(
 def _over_columns(
     buffer: GeometryBuffer, scene: Scene, light: str, casters: Casters, angles: np.ndarray, log: PassLog, record: PassRecord
 ) -> np.ndarray:
-    """``fill`` for a map of columns, under suns that stand higher by some angles, radians."""
+    """Do as ``fill``, for a map of columns, under suns that are higher by some angles in radians."""
     over = column_sweep(buffer, scene, casters)
     visibility = np.zeros(buffer.there.shape, np.float32)
     for angle in angles:
@@ -118,10 +145,11 @@ def fill_nodes(
     settings: SweepSettings,
     log: PassLog,
 ) -> np.ndarray:
-    """The same of nodes of bare ground under a hard sun, from their heights alone: bool (rows, cols).
+    """Return which nodes of bare ground see a point sun, from their heights alone: bool (rows, cols).
 
-    Attached shadow is in it. Where all of a node's facets are turned away, so is the one that its way to the sun leads over: it
-    rises above that way, as any ground that casts.
+    The result includes attached shadow. Where all facets of a node face away from the sun, so does the facet that the ray to the
+    sun crosses. That facet rises above the ray, as any ground does that casts a shadow. Parameters and errors are those of
+    ``fill``.
     """
     (sweep_pass,) = log.named(light, kinds, PASSES)
     with log.run(sweep_pass) as record:
@@ -137,10 +165,20 @@ def fill_nodes(
 
 @dataclass(frozen=True, eq=False)
 class NodeClearance:
-    """What decides whether nodes see the sun: float32 (n, m) in the order of the turned grid, their ``level_m`` and the level
-    ``shade_m`` above which the sun is seen (``NO_GROUND_LEVEL``, or as far below any level, where nothing lies on the way; their
-    difference changes its sign when the sun is lost or comes back). ``turn`` leads there from the nodes' own order; ``rise`` is
-    what a metre of height adds to a level.
+    """The levels that decide whether nodes see the sun, in the order of the turned grid.
+
+    The sign of ``level_m - shade_m`` changes when the sun disappears or appears.
+
+    Attributes
+    ----------
+    turn
+        Orientation that leads from the nodes' order to the turned grid.
+    level_m
+        float32 (n, m), metres: the nodes' levels.
+    shade_m
+        float32 (n, m), metres: the levels above which the sun is visible; about ``NO_GROUND_LEVEL`` where nothing lies on the way.
+    rise
+        Change of a level per metre of height.
     """
 
     turn: GridOrientation
@@ -150,14 +188,14 @@ class NodeClearance:
 
 
 def clearance_of_nodes(nodes: BareNodes, scene: Scene, patches: tuple[Patch, ...], lines: int) -> NodeClearance:
-    """By how much nodes of bare ground clear what stands between them and the sun. Raises as ``fill_nodes``."""
+    """Return the levels of nodes of bare ground, and the levels above which they see the sun. Raises as ``fill_nodes``."""
     rays = rays_over(scene, nodes.view.grid, *nodes.view.centre_node)
     grounds = grounds_of_block(rays, nodes.surface, patches, soft=False)
     ground = grounds[-1]
     targets = _asked_of_nodes(rays, ground, nodes)
     (first_row, last_row), (first_col, last_col) = targets.rows, targets.cols
-    window = slice(first_row, last_row), slice(first_col + 1, last_col + 1)  # behind the left border
-    shade = np.empty(ground.sheet.level.shape, np.float32)  # only the window is asked for: the rest takes no memory
+    window = slice(first_row, last_row), slice(first_col + 1, last_col + 1)  # after the left border
+    shade = np.empty(ground.sheet.level.shape, np.float32)  # only the window is written: the rest takes no memory
     shade[window] = NO_GROUND_LEVEL
     _swept(grounds, targets, lines, 0.0, shade)
     return NodeClearance(rays.turn, ground.sheet.level[window], shade[window], rays.rise)
@@ -169,9 +207,9 @@ def _bytes(grounds: list[GroundWindow], targets: _Asked, soft: bool) -> int:
 
 
 def strips_of_sun(count: int) -> np.ndarray:
-    """Angles (count,), radians, from the middle of the sun's disc up to the middles of horizontal strips of equal area.
+    """Return angles (count,) in radians from the centre of the sun's disc up to the centres of horizontal strips of equal area.
 
-    A disc's share below a height of x radii is 1/2 + (x sqrt(1 - x^2) + arcsin x) / pi.
+    The share of the disc below a height of x radii is 1/2 + (x sqrt(1 - x^2) + arcsin x) / pi.
     """
     x = np.linspace(-1.0, 1.0, 2001)
     share = 0.5 + (x * np.sqrt(1.0 - x * x) + np.arcsin(x)) / np.pi
@@ -180,9 +218,26 @@ def strips_of_sun(count: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What is asked of a sweep: the ``nodes`` among a buffer's pixels (rows, cols), which lie in ``rows`` and ``cols`` of the
-    turned ground and in a ``window`` of its grid; and the ``others``: their turned rows and columns, t, levels (NaN: the ground's)
-    and metres towards the sun.
+    """The nodes and points that a sweep evaluates for a buffer's pixels (rows, cols).
+
+    Attributes
+    ----------
+    t_range
+        Range of t of all of them, in cells.
+    nodes
+        bool (rows, cols): pixels that show a node.
+    rows, cols
+        Turned rows and columns of the nodes' window.
+    window
+        The same window on the grid before turning.
+    others
+        bool (rows, cols): pixels that show another point.
+    row, col, t
+        (n,): turned positions of these points.
+    level_m
+        (n,), metres: levels of these points; NaN for points of the ground.
+    towards_m
+        (n,), metres: distances of these points towards the sun.
     """
 
     t_range: tuple[float, float]
@@ -199,7 +254,7 @@ class _Asked:
 
 
 def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool) -> tuple[SunRays, list[GroundWindow]]:
-    """The rays over a view, and the ground that they pass: the coarsest first."""
+    """Return the rays over a view, and the ground that they pass, the coarsest level of detail first."""
     view = buffer.view
     if isinstance(view, MapView):
         rays = rays_over(scene, view.grid, *view.centre_node)
@@ -211,14 +266,14 @@ def _grounds(buffer: GeometryBuffer, scene: Scene, casters: Casters, soft: bool)
 
 
 def _t_range(rays: SunRays, receivers: Receivers) -> tuple[float, float]:
-    """Least and greatest t of what can be shaded, and a cell more."""
+    """Return the minimum and maximum t of receivers, extended by one cell."""
     low, high = light_bounds(receivers.position_frame_m, receivers.there, *rays.light.from_frame(receivers.frame))
     ends = sorted((float(right) - rays.right_m) / rays.cell_m for right in (low[0], high[0]))
     return ends[0] - 1.0, ends[1] + 1.0
 
 
 def _window_of(rays: SunRays, ground: GroundWindow, view: MapView) -> tuple[tuple[int, int], tuple[int, int], tuple[slice, slice]]:
-    """The rows and the columns of the turned ground, and the window of its grid, that a view's nodes lie in."""
+    """Return the turned rows and columns of a view's nodes, and their window of the ground's grid."""
     top, left = int(view.row0) - ground.row0, int(view.col0) - ground.col0
     return *rays.turned_window(top, left, (view.rows, view.cols), *ground.shape), (
         slice(top, top + view.rows),
@@ -257,7 +312,7 @@ def _asked(rays: SunRays, ground: GroundWindow, buffer: GeometryBuffer) -> _Aske
 
 @compiled
 def _unset(first, last, values, mask, which):
-    """Make values (n,) NaN where a mask (m,) holds at their places (n,) in it."""
+    """Set values (n,) to NaN where a mask (m,) is true at their indices ``which`` (n,)."""
     for n in range(first, last):
         if mask[which[n]]:
             values[n] = np.nan
@@ -266,7 +321,7 @@ def _unset(first, last, values, mask, which):
 def _swept(
     grounds: list[GroundWindow], targets: _Asked, lines: int, angle: float, shade: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``sweep_grid.sweep`` over all ground, for a sun that stands higher by an angle, radians."""
+    """Sweep all ground for a sun that is higher by an angle in radians: see ``sweep_nodes``."""
     *coarser, ground = grounds
     entry, detail = None, 0
     for before in coarser:
@@ -282,7 +337,7 @@ def _swept(
 
 
 def _highest_m(level: np.ndarray, targets: _Asked) -> float:
-    """The largest of the levels (n, m) round the points that are asked for, up or down: what stops a ray by little lies as high."""
+    """Return the largest absolute level (n, m) around the points. Ground that stops a ray narrowly has a level of this size."""
     if not targets.row.size:
         return 0.0
     (i, end_i), (j, end_j) = (
@@ -292,7 +347,7 @@ def _highest_m(level: np.ndarray, targets: _Asked) -> float:
 
 
 def _seen(rays: SunRays, grounds: list[GroundWindow], targets: _Asked, lines: int, angle: float) -> np.ndarray:
-    """Which of a buffer's points (rows, cols) see a sun that stands higher by an angle, radians."""
+    """Return which of a buffer's points (rows, cols) see a sun that is higher by an angle in radians."""
     lit, others_lit, _ = _swept(grounds, targets, lines, angle, NO_LEVELS)
     sunlit = np.ones(targets.nodes.shape, np.bool_)
     if targets.nodes.any():
@@ -302,7 +357,7 @@ def _seen(rays: SunRays, grounds: list[GroundWindow], targets: _Asked, lines: in
 
 
 def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Asked, lines: int, height_m: np.ndarray) -> np.ndarray:
-    """The height (rows, cols) float32, metres, above which the sun is seen: no less than that of what is seen there."""
+    """Return the height above which the sun is visible: float32 (rows, cols), metres, never below that of the surface."""
     level = grounds[-1].sheet.level
     shade = np.full(level.shape if targets.nodes.any() else (0, 0), NO_GROUND_LEVEL, np.float32)
     _, _, others_above_m = _swept(grounds, targets, lines, 0.0, shade)
@@ -311,7 +366,7 @@ def _shadow_height_m(rays: SunRays, grounds: list[GroundWindow], targets: _Asked
         highest, own = (rays.turn.back(each[:, 1:-1])[targets.window] for each in (shade, level))
         above_m[:] = highest - own
     above_m[targets.others] = others_above_m
-    return height_m + np.fmax(above_m, 0.0) / np.float32(rays.rise)  # rounding may put a point beside the ground's rim: NaN
+    return height_m + np.fmax(above_m, 0.0) / np.float32(rays.rise)  # NaN: rounding may put a point outside of the ground
 
 
 def _work(task: Workload, settings: SweepSettings) -> Work:
@@ -326,7 +381,7 @@ def _work(task: Workload, settings: SweepSettings) -> Work:
 
 
 def _ground_nodes(task: Workload) -> float:
-    """Nodes of a perspective view's whole ground; half its triangles where they are not told."""
+    """Return the number of nodes of a perspective view's whole ground; half of its triangles where it is unknown."""
     relief = task.caster_facts("relief")
     return task.triangles("relief") / 2.0 if relief is None or relief.nodes is None else float(relief.nodes)
 
@@ -338,18 +393,18 @@ def _calibrated(descriptor: Descriptor, light: str, grid: str) -> Iterator[Algor
         yield SweepSettings(filter="sun")
 
 
-ONE_AZIMUTH = "a lamp's rays spread: the lines of the sweep run along one azimuth"
+ONE_AZIMUTH = "a lamp's rays diverge, but the lines of the sweep run along one azimuth"
 
 REFUSES: dict[Requirement, str] = {
     "spot": ONE_AZIMUTH,
     "omni": ONE_AZIMUTH,
-    "meshes": "meshes are no heightfield: the sweep knows one height per place",
-    "forest": "trees are no heightfield: light passes under crowns and between leaves",
+    "meshes": "meshes are not a heightfield: the sweep has one height per position",
+    "forest": "trees are not a heightfield: light passes under crowns and between leaves",
     "bent rays": RAYS_BEND_REASON,
 }
 
 FULL_DETAIL, DECIMATED = "sweep", "sweep of decimated ground"
-"""Errors are told apart by whether the drawn triangles of the ground leave out nodes."""
+"""Errors are separate for views whose drawn triangles leave out nodes of the ground."""
 
 ALGORITHM = Algorithm(
     name="sweep",
