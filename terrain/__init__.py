@@ -1,6 +1,9 @@
-"""The world, as facts: Level -> Scene -> Descriptor, and what is seen of it. No decision about shadows.
+"""Facts about the world: levels, scenes, descriptors and visible surfaces. Decides nothing about shadows.
 
-The lowest floor: it imports no other. Beside the rooms lie the leaves (``errors``, ``compiled``, ``cache``, ``whole_files``), which
-everything may import, and the spine: ``scene`` with its ``scene_objects`` and ``lights``, ``shading``, and ``describe``, which is
-above all rooms.
+This is the lowest layer. It imports no other layer of Skugga.
+
+- A level is read into a scene. A scene and a view give a descriptor.
+- The modules ``errors``, ``compiled``, ``cache`` and ``whole_files`` may be imported by every module.
+- The modules ``scene`` (with ``scene_objects`` and ``lights``), ``shading`` and ``describe`` combine the packages. ``describe`` is
+  the topmost one.
 """

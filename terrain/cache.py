@@ -1,8 +1,10 @@
-"""What is kept: every cache there is has a name, a bound in bytes, and a time that its values last; one call empties them.
+"""Caches with a name, a limit in bytes and a lifetime. One call empties them all.
 
-Values lie under the objects that they were made from. What compares by identity (a scene, its ground, a buffer, an array) is held
-weakly: nothing is kept alive by a cache, and a value goes when something that it was made from does. All else (numbers, names,
-frozen values) is compared.
+A cache key consists of the objects that a value was computed from:
+
+- Objects that compare by identity (a scene, its elevation, a buffer, an array) are referenced weakly. A cache keeps none of them
+  alive. An entry is evicted when one of these objects is collected.
+- All other parts (numbers, names, frozen values) are compared by equality.
 """
 
 from __future__ import annotations
@@ -21,18 +23,21 @@ P = ParamSpec("P")
 V = TypeVar("V")
 
 Lasts = Literal["light", "scene", "process"]
-"""How long values last: until the light moves (or anything else does that they show); as long as the scene that they were made
-for; or as long as the process, for they belong to no scene.
+"""How long the entries of a cache stay valid.
+
+- ``light``: until the light moves, or anything else that the value depends on and that changes from frame to frame.
+- ``scene``: as long as the scene that the value was computed for.
+- ``process``: until the process ends, since the value belongs to no scene.
 """
 
 KIB, MIB = 2**10, 2**20
 
-_lock = RLock()  # one for all: letting go of a value of one cache may empty another
+_lock = RLock()  # shared by all caches: evicting an entry of one may empty another
 _caches: weakref.WeakSet[Any] = weakref.WeakSet()
 
 
 class IdentityKey(weakref.ref[Any]):
-    """A weak reference that equals those to the same living object: a key for what has no equality of that kind."""
+    """A weak reference that is hashed and compared by the identity of its object. It serves as a cache key."""
 
     __slots__ = ("number",)
     number: int
@@ -50,7 +55,7 @@ class IdentityKey(weakref.ref[Any]):
 
 
 def _by_identity(part: object) -> bool:
-    """Whether a part of a key goes by identity: it is an array, or of a class without an equality of its own."""
+    """Return whether a part of a key is compared by identity: an array, or an instance of a class without ``__eq__`` of its own."""
     kind = type(part)
     return kind is np.ndarray or (kind.__hash__ is object.__hash__ and kind.__weakrefoffset__ > 0 and kind is not _Function)
 
@@ -59,22 +64,34 @@ _Function = type(lambda: None)
 
 
 def _key_of(parts: Iterable[object], gone: Callable[[Any], None] | None = None) -> tuple[Hashable, ...]:
-    """The key under which a value lies that was made from some parts; ``gone`` is called when one that goes by identity does."""
+    """Return the cache key of some parts. ``gone`` is called when a part that is compared by identity is collected."""
     return tuple(IdentityKey(part, gone) if _by_identity(part) else part for part in parts)
 
 
 class Missing:
-    """What ``Cache.get`` answers where there is nothing; a value may be ``None``."""
+    """The type of ``MISSING``, which ``Cache.get`` returns where the cache holds no entry. A cached value may be ``None``."""
 
 
 MISSING = Missing()
 
 
 class Cache(Generic[V]):
-    """The values used last, of at most ``limit_bytes`` together. To be used from any thread.
+    """A least-recently-used cache with a limit in bytes. Thread-safe.
 
-    ``size_of`` gives a value's bytes: one larger than the limit is handed through, not kept. ``release`` is called with a value
-    that is let go, and never with the newest one to make room for it: whoever put it there uses it. ``most`` bounds their number.
+    Parameters
+    ----------
+    name
+        The cache's name.
+    lifetime
+        How long its entries stay valid.
+    limit_bytes
+        Upper bound of the size of all values together. A larger value is not stored, unless the cache has a ``release``.
+    size_of
+        Returns the bytes of a value. Default: ``bytes_of``.
+    release
+        Called with each evicted value. The newest value is never evicted to make room, because its caller uses it.
+    most
+        Upper bound of the number of entries.
     """
 
     def __init__(
@@ -98,12 +115,12 @@ class Cache(Generic[V]):
 
     @property
     def values(self) -> list[V]:
-        """All values, the one used last at the end."""
+        """All values, least recently used first."""
         with _lock:
             return [value for value, _ in self._values.values()]
 
     def get(self, *parts: object) -> V | Missing:
-        """The value under a key of some parts, or ``MISSING``."""
+        """Return the value of a key, or ``MISSING``."""
         key = _key_of(parts)
         with _lock:
             found = self._values.get(key)
@@ -113,7 +130,7 @@ class Cache(Generic[V]):
             return found[0]
 
     def put(self, *parts: object, value: V) -> None:
-        """Keep a value under a key, and let go of the oldest ones until the bounds hold."""
+        """Store a value under a key. Evict the least recently used entries until the limits hold."""
         size = self._size_of(value)
         key = self._key(parts)
         with _lock:
@@ -128,24 +145,24 @@ class Cache(Generic[V]):
                 self.trim(self.most)
 
     def trim(self, most: int) -> None:
-        """Let go of all but the ``most`` values used last."""
+        """Evict all entries except the ``most`` that were used last."""
         with _lock:
             while len(self._values) > most:
                 self._drop(next(iter(self._values)))
 
     def drop(self, *parts: object) -> None:
-        """Forget the value under a key."""
+        """Evict the entry of a key."""
         with _lock:
             self._drop(_key_of(parts))
 
     def clear(self) -> None:
-        """Forget all."""
+        """Evict all entries."""
         with _lock:
             while self._values:
                 self._drop(next(iter(self._values)))
 
     def clear_of(self, owner: object) -> None:
-        """Forget what was made from an object, or from one that has it as its ``elevation``: a scene's ground is its own."""
+        """Evict the entries that were computed from an object, or from one whose ``elevation`` it is (as a scene's)."""
         with _lock:
             for key in list(self._values):
                 made_from = [part() for part in key if isinstance(part, IdentityKey)]
@@ -153,7 +170,7 @@ class Cache(Generic[V]):
                     self._drop(key)
 
     def _key(self, parts: Iterable[object]) -> tuple[Hashable, ...]:
-        """A key whose value goes as soon as one of its parts does."""
+        """Return a key whose entry is evicted as soon as one of its parts is collected."""
         held: list[tuple[Hashable, ...]] = []
         cache_ref = weakref.ref(self)
 
@@ -177,7 +194,7 @@ class Cache(Generic[V]):
 
 
 class CachedFunction(Generic[P, V]):
-    """A function whose last values are kept in ``cache``."""
+    """A function that stores its latest results in ``cache``."""
 
     def __init__(self, function: Callable[P, V], cache: Cache[V], key: Callable[P, tuple[object, ...]] | None) -> None:
         self.cache = cache
@@ -200,8 +217,14 @@ def cached(
     size_of: Callable[[Any], int] | None = None,
     most: int | None = None,
 ) -> Callable[[Callable[P, V]], CachedFunction[P, V]]:
-    """Keep a function's last values, ``most`` of them, in a cache of the function's name; ``key`` gives what of its arguments they
-    go by.
+    """Return a decorator that caches a function's results.
+
+    Parameters
+    ----------
+    lifetime, limit_bytes, size_of, most
+        As in ``Cache``. The cache is named after the function.
+    key
+        Returns the cache key for the function's arguments. Default: all arguments.
     """
 
     def decorate(function: Callable[P, V]) -> CachedFunction[P, V]:
@@ -212,35 +235,38 @@ def cached(
 
 
 def register_cache(cache: Any) -> None:
-    """List what keeps values in a way of its own: it has ``name``, ``lifetime``, ``limit_bytes``, ``nbytes``, a length, ``clear``
-    and ``clear_of`` as a ``Cache`` has.
+    """Register an object of another class with the caches of this process.
+
+    It needs ``name``, ``lifetime``, ``limit_bytes``, ``nbytes``, ``__len__``, ``clear`` and ``clear_of`` as ``Cache`` has them.
     """
     with _lock:
         _caches.add(cache)
 
 
 def caches(*lifetime: Lasts) -> list[Cache[Any]]:
-    """All caches of this process whose values last so long (no word: any time), by name."""
+    """Return the caches of this process with one of some lifetimes (default: all of them), sorted by name."""
     with _lock:
         return sorted((cache for cache in _caches if not lifetime or cache.lifetime in lifetime), key=lambda cache: cache.name)
 
 
 def clear_caches(*lifetime: Lasts) -> None:
-    """Empty the caches whose values last so long: ``clear_caches("light")`` makes the next frame pay all that a moving sun costs,
-    ``clear_caches("light", "scene")`` all that follows from a level's files.
+    """Empty the caches with one of some lifetimes (default: all caches).
+
+    ``clear_caches("light")`` makes the next frame pay all costs of a moving sun. ``clear_caches("light", "scene")`` discards
+    everything that was computed from a level's files.
     """
     for cache in caches(*lifetime):
         cache.clear()
 
 
 def clear_scene_caches(elevation: object) -> None:
-    """Forget what was made from a scene's ground, or from anything that stands on it; other scenes' values stay."""
+    """Evict the entries that were computed from an elevation or from an object that has it. Other scenes' entries stay."""
     for cache in caches("light", "scene"):
         cache.clear_of(elevation)
 
 
 def bytes_of(value: object) -> int:
-    """About how many bytes a value takes, with all that it holds."""
+    """Estimate the bytes of a value and of all objects that it references."""
     seen: set[int] = set()
     todo, total = [value], 0
     while todo:

@@ -1,8 +1,11 @@
-"""A camera's way through key positions: smooth, without swinging past them, and at rest between two keys at one place.
+"""The path of a camera through keyframes.
 
-Places, heights and fields of view run along curves of ``skugga.terrain.geo.keyed_curve``, as what moves in a level does: the way is
-the same whichever way north lies, and a camera whose keys lie high stays high. Heights run in metres above the datum, not above the
-ground: a camera that followed every knoll under it would shake.
+The path is smooth, does not overshoot the keyframes, and rests between two keyframes at one position. Positions, heights and fields
+of view follow ``skugga.terrain.geo.keyed_curve``, as moving objects of a level do:
+
+- The path does not depend on the orientation of the axes.
+- A camera whose keyframes are high stays high.
+- Heights are interpolated above the datum, not above the ground. A camera that followed every bump of the ground would shake.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.geo.keyed_curve import KeyedCurve
 from skugga.terrain.ground.geolocate import Geolocator
@@ -22,10 +25,19 @@ from skugga.terrain.level.camera_file import CameraPathSpec
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """A camera's way over a level's ground.
+    """A camera's path over a level's ground.
 
-    ``times_s`` (n,) are the keys' times; ``eyes`` and ``targets`` float64 (n, 3) are places as written (``Geolocator``), longitudes
-    without jumps, and heights in metres above the datum; ``fov_deg`` (n,).
+    Attributes
+    ----------
+    place
+        Locates positions on the level's ground.
+    times_s
+        (n,), the times of the keyframes in seconds.
+    eyes, targets
+        float64 (n, 3), positions in the coordinates of ``Geolocator`` (longitudes without jumps), and heights above the datum in
+        metres.
+    fov_deg
+        (n,), the vertical fields of view.
     """
 
     place: Geolocator
@@ -35,25 +47,27 @@ class CameraPath:
     fov_deg: np.ndarray
 
     def view_at(self, time_s: float, rows: int, cols: int) -> PerspectiveView:
-        """The view at a time in seconds; before the first key and after the last one the camera rests.
+        """Return the view at a time in seconds.
 
-        Raises ``InputError`` where the eye is off the ground's data or not above it, or where it meets the target.
+        The camera rests before the first keyframe and after the last one.
+
+        Raises ``InputError`` where the eye is outside of the ground's data or not above it, or where it coincides with the target.
         """
         eye, target = (np.concatenate([places.at(time_s), heights.at(time_s)]) for places, heights in self._curves)
         point, up = self.place.at_height((eye[0], eye[1]), eye[2])
         ground_m = self.place.ground_m((eye[0], eye[1]))
         if not np.isfinite(ground_m):
-            raise InputError("eye", f"{eye[0]:.6g}, {eye[1]:.6g}", "a camera over the terrain's data")
+            outside = Problem(f"{eye[0]:.6g}, {eye[1]:.6g} lies outside of the terrain's data")
+            raise InputError("eye", outside, "Keep the camera over the terrain's data")
         if not eye[2] > ground_m:
-            raise InputError(
-                "eye", f"{eye[2] - ground_m:.3g} m above the ground", "more than 0 m: the camera goes under the ground"
-            )
+            below = Problem(f"the camera goes under the ground, {eye[2] - ground_m:.3g} m above it")
+            raise InputError("eye", below, "Keep the camera more than 0 m above the ground")
         target_point, _ = self.place.at_height((target[0], target[1]), target[2])
         return look_at(point, target_point, up, float(self._fov.at(time_s)[0]), rows, cols)
 
     @cached_property
     def _curves(self) -> tuple[tuple[KeyedCurve, KeyedCurve], ...]:
-        """Place and height of the eye, and of the target."""
+        """The curves of position and height: of the eye, and of the target."""
         return tuple(
             (KeyedCurve(self.times_s, places[:, :2]), KeyedCurve(self.times_s, places[:, 2:]))
             for places in (self.eyes, self.targets)
@@ -65,14 +79,16 @@ class CameraPath:
 
 
 def camera_path(spec: CameraPathSpec, place: Geolocator, start: datetime | None) -> CameraPath:
-    """The way of a camera over a ground, for a film that begins at a date, if it has one.
+    """Return a camera's path over a ground.
 
-    Raises ``InputError`` for keys off the ground's data, which names them, and for dates without a ``start``.
+    ``start`` is the date at which the film begins, if it has one. Raises ``InputError`` for keyframes outside of the ground's data,
+    which it names, and for keyframes with dates if the film has none.
     """
     try:
         times_s = spec.times_s(start)
     except ValueError:
-        raise InputError("keys", spec.keys[0].at, "times since the first frame, as 0s: the film has no date") from None
+        dated = Problem(f"'{spec.keys[0].at}' is a date, but the film has no date")
+        raise InputError("keys", dated, "Give times since the first frame, such as 0s") from None
     eyes, targets = np.empty((len(times_s), 3)), np.empty((len(times_s), 3))
     for number, key in enumerate(spec.keys):
         for name, out, position in (("eye", eyes, key.eye), ("target", targets, key.target)):
@@ -80,7 +96,7 @@ def camera_path(spec: CameraPathSpec, place: Geolocator, start: datetime | None)
             if not np.isfinite(ground_m):
                 raise InputError(f"keys.{number}.{name}", position, "a position on the terrain's data")
             out[number] = *position[:2], ground_m + position[2]
-    if not place.world.flat:  # the short way round the earth, between keys and from the eye to what it sees
+    if not place.world.flat:  # take the shorter way round the earth between keyframes
         eyes[:, 0] = np.unwrap(eyes[:, 0], period=360.0)
         targets[:, 0] = np.unwrap(targets[:, 0], period=360.0)
     return CameraPath(place, np.array(times_s), eyes, targets, np.array([key.fov for key in spec.keys]))

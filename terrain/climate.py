@@ -1,9 +1,11 @@
-"""Climate: what ground of a height looks like at its latitude, where a style has the colours of a climate like central Europe's.
+"""Climate: the ground's colour by height and latitude, for styles whose own colours are those of central Europe's climate.
 
-Two things are told from latitude and height alone, so that a place has one colour in every map, tile and zoom: **ice** lies above
-the snow line, which is at sea level in Antarctica and highest in the dry subtropics; **vegetation** fails in the subtropics, where
-air sinks and dries, and towards the poles, where it is cold. Rain that mountains and coasts bring is not told: Florida is as dry
-here as the Sahara, by half.
+Latitude and height alone decide, so that a place has the same colour in every map, tile and zoom.
+
+- **Ice** lies above the snow line. The snow line is at sea level in Antarctica and highest in the dry subtropics.
+- **Vegetation** thins out in the subtropics, where air sinks and dries, and towards the poles, where it is cold.
+
+The model ignores rain from mountains and coasts: Florida is as dry as the Sahara here, up to the share ``MOST_ARID``.
 """
 
 from __future__ import annotations
@@ -20,21 +22,22 @@ SNOW_LINE_M = (
     (30.0, 5500.0), (36.0, 4700.0), (41.0, 3800.0), (46.0, 3050.0), (55.0, 2300.0), (61.0, 1750.0), (68.0, 1250.0),
     (74.0, 700.0), (79.0, 350.0), (83.0, 50.0), (87.0, -400.0), (90.0, -400.0),
 )  # fmt: skip
-"""Latitudes, degrees, and the height, metres, above which more snow falls than melts: in round numbers where glaciers begin in the
-Alps, Scandinavia, Svalbard, the Himalaya, the Andes, New Zealand and Antarctica.
+"""Latitudes in degrees, and the height in metres above which more snow falls than melts.
+
+Rounded from the lower ends of glaciers in the Alps, Scandinavia, Svalbard, the Himalaya, the Andes, New Zealand and Antarctica.
 """
 
 ICE_EDGE_M = 250.0
-"""Over so many metres below and above the snow line ground goes over into ice."""
+"""Ground blends into ice from this far below the snow line to this far above it."""
 
 MOST_ARID, ARID_DEG = 0.75, ((13.0, 21.0), (28.0, 36.0))
-"""Share of the desert's colours in the middle of the dry belt, and the latitudes over which that rises and falls, either side."""
+"""Share of the desert's colours in the middle of the dry belt, and the latitudes over which that share rises and falls."""
 
 TUNDRA_DEG = (60.0, 70.0), (-52.0, -60.0)
-"""Latitudes over which meadows go over into tundra: of the north, and of the south, which is colder."""
+"""Latitudes over which meadows blend into tundra: of the northern hemisphere, and of the southern one, which is colder."""
 
 SEA_FLOOR_M = -500.0, -440.0
-"""Heights over which land goes over into the bottom of the sea, which has no climate: the Dead Sea's shore is the lowest land."""
+"""Heights between which the sea floor, which has no climate, blends into land. The Dead Sea's shore is the lowest land."""
 
 ARID: Ramp = (
     (0.0, "#d8c8a2"), (500.0, "#dbcdab"), (1100.0, "#ded1b3"), (1700.0, "#dfd4ba"), (2400.0, "#e0d6c2"), (3100.0, "#e3dccf"),
@@ -47,11 +50,11 @@ TUNDRA: Ramp = (
 ICE: Ramp = ((0.0, "#ebf1f5"), (2500.0, "#f1f5f8"), (4600.0, "#f7f9fa"), (6000.0, "#fdfdfe"))
 
 LATITUDES = 181
-"""Rows of a table of tints, at even steps of the latitude's sine from -1 to 1: 0.6 degrees at the equator, 1.3 at 60 degrees."""
+"""Rows of a tint table, at even steps of the latitude's sine from -1 to 1: 0.6 degrees at the equator, 1.3 at 60 degrees."""
 
 
 def climate_srgb(own: Ramp, heights_m: np.ndarray) -> np.ndarray:
-    """sRGB colours (``LATITUDES``, n, 3) in [0, 1] of ground of some heights (n,), where a style has its ``own`` ramp."""
+    """Return the ground's sRGB colours (``LATITUDES``, n, 3) in [0, 1] at heights (n,). ``own`` is the style's own ramp."""
     latitude = np.degrees(np.arcsin(np.linspace(-1.0, 1.0, LATITUDES)))[:, None]
     on_land, ground = smoothstep((heights_m - SEA_FLOOR_M[0]) / np.ptp(SEA_FLOOR_M)), ramp_srgb(own, heights_m)[None]
     for ramp, share in ((ARID, _arid(latitude)), (TUNDRA, _tundra(latitude)), (ICE, _ice(latitude, heights_m))):
@@ -60,13 +63,13 @@ def climate_srgb(own: Ramp, heights_m: np.ndarray) -> np.ndarray:
 
 
 def ramp_srgb(ramp: Ramp, heights_m: np.ndarray) -> np.ndarray:
-    """sRGB colours (n, 3) in [0, 1] of a ramp."""
+    """Return the sRGB colours (n, 3) in [0, 1] of a ramp at heights (n,)."""
     colors = np.array([[int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5)] for _, text in ramp])
     return np.stack([np.interp(heights_m, [height for height, _ in ramp], colors[:, k]) for k in range(3)], axis=-1)
 
 
 def snow_line_m(latitude_deg: np.ndarray) -> np.ndarray:
-    """The snow line's height, metres."""
+    """Return the height of the snow line in metres."""
     return np.asarray(np.interp(latitude_deg, [at for at, _ in SNOW_LINE_M], [height for _, height in SNOW_LINE_M]))
 
 

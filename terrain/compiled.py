@@ -1,4 +1,4 @@
-"""The decorators of compiled loops; and work shared out to cores."""
+"""Decorators for loops that numba compiles, and helpers that share work out to CPU cores."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ R = TypeVar("R")
 T = TypeVar("T")
 
 CORES = int(os.environ.get("NUMBA_NUM_THREADS", "0")) or usable_cores()
-"""Threads of a process that its loops are shared out to."""
+"""Threads that this process shares its loops out to."""
 
 ROW_SHARES = 3
-"""Shares of the rows for each of them: some rows take longer than others."""
+"""Chunks of rows per thread. More than one balances the load, since some rows take longer than others."""
 
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
-"""No fast-math: results must not depend on the machine. The GIL is released: loops run on all cores."""
+"""Options of all loops. No fast-math: results must not depend on the machine. The GIL is released: loops run on all cores."""
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile ``function`` with numba.
 
     ``skugga.terrain.compiling`` stores the machine code for other processes, and notices any change that it depends on. Pass values
-    that belong together as a ``NamedTuple``. Make what may be ``None`` a parameter of its own, so that each variant is compiled
-    without the code of the others.
+    that belong together as a ``NamedTuple``. Make a value that may be ``None`` a parameter of its own. Each variant is then
+    compiled without the code of the others.
     """
     loop = numba.njit(**_OPTIONS)(function)
-    if isinstance(loop, Dispatcher):  # else a plain function, where numba is told not to compile
+    if isinstance(loop, Dispatcher):  # else NUMBA_DISABLE_JIT is set and ``loop`` is the plain function
         vars(loop)["_cache"] = LoopCache(loop)
     return loop
 
@@ -45,7 +45,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 def internal(function: Callable[P, R]) -> Callable[P, R]:
     """Compile ``function`` as a part of the compiled loops that call it. Python cannot call it.
 
-    Use it for every loop that only loops call: it is optimised in its callers alone, and stored with them.
+    Use it for every loop that only loops call. Numba optimises it in its callers only, and stores it with them.
     """
     options = {**_OPTIONS, "no_cpython_wrapper": True, "pipeline_class": InternalCompiler}
     loop = numba.njit(**options)(function)
@@ -56,9 +56,9 @@ def internal(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def in_shares(rows: int, loop: Callable[..., Any], *args: Any) -> None:
-    """Call ``loop(first, last, *args)`` for shares of some rows, on all cores: a compiled loop holds no lock while it runs.
+    """Call ``loop(first, last, *args)`` for chunks of rows on all cores. A compiled loop releases the GIL while it runs.
 
-    The loop itself must not call this: it would wait for the threads that it takes.
+    The loop itself must not call this function: it would deadlock, waiting for the threads that it occupies.
     """
     if CORES == 1 or rows < 2 * CORES:
         loop(0, rows, *args)
@@ -70,9 +70,9 @@ def in_shares(rows: int, loop: Callable[..., Any], *args: Any) -> None:
 
 
 def on_cores(work: Callable[[T], R], parts: Iterable[T], cores: int = CORES) -> list[R]:
-    """Return ``work(part)`` of all parts, done on several cores; on one, in this thread.
+    """Return ``work(part)`` of all parts, computed on several cores. With one core it runs in this thread.
 
-    Use ``in_shares`` for the rows of a loop. Here the caller cuts the parts, and the threads end with the call: work may itself
+    Use ``in_shares`` for the rows of a loop. Here the caller cuts the parts, and the threads end with the call. ``work`` itself may
     call ``in_shares``.
     """
     if cores == 1:

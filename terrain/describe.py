@@ -1,4 +1,7 @@
-"""Scene and view -> Descriptor: facts that choices are made from. No decision is made here, and none per tile."""
+"""Build the descriptor of a scene and a view: the facts that the selector decides from.
+
+This module decides nothing, and computes nothing per tile.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,10 @@ from skugga.terrain.scene import Scene
 
 
 def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", pixels_show: PixelsShow = "means") -> Descriptor:
-    """The descriptor of a view of a scene. Of a coarse map it is that of the finer one whose pixels it shows the means of."""
+    """Return the descriptor of a view of a scene.
+
+    A coarse map has the descriptor of the finer map whose pixels it averages.
+    """
     pieces = 1 if pixels_show == "points" or not isinstance(view, MapView) else 2 ** halvings(scene, view)
     drawn = drawn_view(scene, view, pixels_show)
     low, high = scene.height_range_m
@@ -71,12 +77,12 @@ def describe(scene: Scene, view: MapView | PerspectiveView, name: str = "map", p
 
 
 def _known(facts: dict[str, Fact]) -> dict[str, Fact]:
-    """Facts of an effect, ``None`` for what is no number: the difference of two shadows without end, say."""
+    """Return an effect's facts with ``None`` instead of NaN, such as for the difference of two shadows of infinite length."""
     return {key: None if isinstance(fact, float) and np.isnan(fact) else fact for key, fact in facts.items()}
 
 
 def _area_share(scene: Scene, seen_light_m: tuple[float, float, float] | None) -> float:
-    """What is seen at a time as a share of the level's area across the sun's light."""
+    """Return the area that is visible at a time as a share of the level's area, both perpendicular to the sun's light."""
     if seen_light_m is None or scene.light is None:
         return 1.0
     ground_light = scene.light.from_earth(ground_points(scene.world, scene.elevation).point_earth_m)
@@ -119,8 +125,16 @@ def _perspective_facts(scene: Scene, view: PerspectiveView, coarse_view: CoarseV
 
 @dataclass(frozen=True, eq=False)
 class _SeenInLight:
-    """What is seen, in light space: points (n, 3) and the eye (3,), metres, and how far ``low`` and ``high`` (3,) of the eye what
-    lies at distance 1 can be.
+    """The visible points in light space.
+
+    Attributes
+    ----------
+    points_m
+        (n, 3), the points in metres.
+    eye_m
+        (3,), the eye in metres.
+    low, high
+        (3,), bounds of the offset from the eye of anything visible at distance 1.
     """
 
     points_m: np.ndarray
@@ -130,8 +144,9 @@ class _SeenInLight:
 
 
 def _reach_at_distance_1(view: PerspectiveView, light_from_earth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far along each axis of the light (3,) low and high of the eye anything may lie that a view shows up to distance 1: by the
-    cone round its corners.
+    """Return bounds (3,), (3,) of the offsets from the eye along the light's axes of anything that a view shows up to distance 1.
+
+    They bound the cone that encloses the view's corners.
     """
     last = np.array([view.cols - 1, view.rows - 1])
     (left, top), (right, bottom) = (
@@ -147,8 +162,10 @@ def _reach_at_distance_1(view: PerspectiveView, light_from_earth: np.ndarray) ->
 
 
 def _bands(away_m: np.ndarray, seen: _SeenInLight, tallest_m: float, slack: float) -> tuple[Band, ...]:
-    """Bands of what is seen at distances (n,); ``slack`` is how far apart the points lie, as a share of their distance. What stands
-    on the ground may rise by ``tallest_m``, as far as the view shows anything at that distance.
+    """Return the distance bands of the visible points, by their distances (n,).
+
+    ``slack`` is the spacing of the points as a share of their distance. Objects on the ground may rise by ``tallest_m``, within the
+    view's extent at that distance.
     """
     light_m = seen.points_m
     octave = np.ceil(np.log2(np.maximum(away_m, MIN_DISTANCE_M))).astype(int)
@@ -169,7 +186,10 @@ def _bands(away_m: np.ndarray, seen: _SeenInLight, tallest_m: float, slack: floa
 
 
 def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[float, float, float] | None:
-    """The largest light-space extent of blocks laid out over the level: 3 x 3 of them, 17 x 17 points each, plus relief."""
+    """Return the largest extent (x, y, z) of a block in light space, in metres.
+
+    Blocks are sampled over the level: 3 x 3 blocks with 17 x 17 points each, plus relief.
+    """
     if scene.light is None:
         return None
     row, col, _ = overview_on_grid(scene.world, scene.elevation, view.grid)
@@ -197,7 +217,7 @@ def _receivers_light_m(scene: Scene, view: MapView, relief_m: float) -> tuple[fl
 
 @cached("scene", MIB)
 def _block_relief_m(elevation: Elevation, block_m: float, metres_per_unit: float) -> float:
-    """The largest range of heights within a block's side anywhere on the level, from the overview."""
+    """Return the largest range of heights within a block's side anywhere on the level, in metres, from the overview."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     overview = elevation.overview

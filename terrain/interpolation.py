@@ -1,5 +1,6 @@
-"""Interpolation of arrays: smoothstep, and bilinear look-ups. Imports no numba; ``skugga.terrain.interpolation_loops`` is for
-loops.
+"""Interpolation of arrays: smoothstep and bilinear look-ups.
+
+Imports no numba. ``skugga.terrain.interpolation_loops`` has the functions for compiled loops.
 """
 
 from __future__ import annotations
@@ -8,13 +9,13 @@ import numpy as np
 
 
 def smoothstep(share: np.ndarray | float) -> np.ndarray:
-    """Return 3 t^2 - 2 t^3 of shares, which are clamped to [0, 1] first."""
+    """Return 3 t^2 - 2 t^3 of values t, clamped to [0, 1] first."""
     share = np.clip(share, 0.0, 1.0)
     return np.asarray(share * share * (3.0 - 2.0 * share))
 
 
 def bilinear(values: np.ndarray, row: np.ndarray, col: np.ndarray, layer: np.ndarray | None = None) -> np.ndarray:
-    """Interpolate between the cells of a grid.
+    """Interpolate bilinearly between the cells of a grid.
 
     Parameters
     ----------
@@ -23,7 +24,7 @@ def bilinear(values: np.ndarray, row: np.ndarray, col: np.ndarray, layer: np.nda
     row, col
         Fractional rows and columns (n,), from 0 to the last one.
     layer
-        The number (n,) of each point's layer, if there are layers.
+        The number (n,) of each point's layer, if ``values`` has layers.
 
     Returns
     -------

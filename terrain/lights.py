@@ -1,4 +1,4 @@
-"""Lights besides the sun: spots and omni lights at places. How bright they are at a point: ``skugga.terrain.effects.lamps``."""
+"""Lights besides the sun: spot lights and omni lights. ``skugga.terrain.effects.lamps`` computes their irradiance at a point."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from skugga.terrain.errors import Problem, LevelError
+from skugga.terrain.errors import LevelError, Problem
 from skugga.terrain.geo.world import LocalFrame
 from skugga.terrain.ground.geolocate import Geolocator
 from skugga.terrain.ground.ground_path import GroundPath, Standpoint, path_over_ground
@@ -18,14 +18,14 @@ CONE_EDGE = 0.1
 """Share of a spot's half angle over which its light fades out at the rim."""
 
 LEAST_AIM_M = 1e-6
-"""Distance of a target that stays from a spot that does."""
+"""Minimum distance between a static spot and its static target."""
 
 LEAST_WAY_M = 0.1
-"""Distance of a spot from its target, where either moves: nearer, it is turned about in no time."""
+"""Minimum distance between a spot and its target where either moves. If they were nearer, the spot would turn about at once."""
 
 
 class LightPosition(NamedTuple):
-    """A light in a frame, homogeneous: a lamp's place and 1, or a unit direction to the sun and 0."""
+    """A light's homogeneous position in a frame: a lamp's position with w = 1, or a unit direction to the sun with w = 0."""
 
     x: float
     y: float
@@ -34,13 +34,23 @@ class LightPosition(NamedTuple):
 
 
 def light_position(place_or_direction: np.ndarray, w: float) -> LightPosition:
-    """The position of a light of a place (3,) and 1, or of a direction (3,) and 0."""
+    """Return the homogeneous position of a light: of a position (3,) with w = 1, or of a direction (3,) with w = 0."""
     x, y, z = (float(v) for v in place_or_direction)
     return LightPosition(x, y, z, w)
 
 
 class LampInFrame(NamedTuple):
-    """A lamp in a frame: its place (3,), metres, its unit axis (3,), and the rotation (3, 3) from the frame to the lamp."""
+    """A lamp in a frame.
+
+    Attributes
+    ----------
+    position_frame_m
+        (3,), the position in metres.
+    axis_frame
+        (3,), the unit axis of the cone.
+    lamp_from_frame
+        (3, 3), the rotation from the frame to the lamp's axes.
+    """
 
     position_frame_m: np.ndarray
     axis_frame: np.ndarray
@@ -49,20 +59,24 @@ class LampInFrame(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Lamp:
-    """A light at a place.
+    """A light at a position.
 
     Attributes
     ----------
     position_earth_m
-        float64 (3,).
+        float64 (3,), the earth-fixed position in metres.
     earth_from_lamp
-        float64 (3, 3), columns right, down and forward (to the target; straight down for an omni light).
+        float64 (3, 3), columns right, down and forward (towards the target; straight down for an omni light).
     cutoff_deg
         Half angle of the cone; 180 for an omni light.
+    color
+        Linear RGB colour.
+    intensity
+        Irradiance at normal incidence at the distance ``reference_m``, in units of the sun's.
+    reference_m
+        The distance in metres that ``intensity`` refers to.
     radius_m
-        Of the ball that shines; 0: a point.
-    color, intensity
-        Linear colour, and irradiance at normal incidence in units of the sun's at the distance ``reference_m``.
+        Radius of the luminous ball in metres; 0 for a point light.
     """
 
     name: str
@@ -76,7 +90,7 @@ class Lamp:
     radius_m: float = 0.0
 
     def in_frame(self, frame: LocalFrame) -> LampInFrame:
-        """Where it stands in a frame, and how it is turned there."""
+        """Return the lamp's position and orientation in a frame."""
         return LampInFrame(
             frame.points_from_earth(self.position_earth_m),
             frame.directions_from_earth(self.earth_from_lamp[:, 2]),
@@ -86,10 +100,16 @@ class Lamp:
 
 @dataclass(frozen=True, eq=False)
 class LampRig:
-    """A light of a level, wherever the clock puts it: a path moves, a standpoint stays. ``target`` is a spot's.
+    """A level's lamp at all times of the level's clock.
 
-    ``reference_m`` is the distance at which its light has the level's intensity: a lamp that moves is as strong all the way as it
-    is at its first key.
+    Attributes
+    ----------
+    position
+        A moving lamp has a path, a static one a standpoint.
+    target
+        A spot's target; ``None`` for an omni light.
+    reference_m
+        Distance in metres at which the light has the level's intensity. A moving lamp keeps the strength of its first keyframe.
     """
 
     name: str
@@ -99,7 +119,7 @@ class LampRig:
     reference_m: float
 
     def at_second(self, seconds: float) -> Lamp:
-        """The lamp at a second of the level's clock; one and the same where it does not move."""
+        """Return the lamp at a second of the level's clock. A static lamp returns the same object each time."""
         return self._lamp_at(seconds) if self.spec.moves else self._still
 
     @cached_property
@@ -118,8 +138,10 @@ class LampRig:
 
 
 def lamp_rig(name: str, spec: LightSpec, place: Geolocator, where: str) -> LampRig:
-    """The rig of a level's light. Raises ``LevelError`` for a position off the ground's data, and for a path that leaves the
-    terrain, goes under the ground, or on which a spot and its target meet.
+    """Return the rig of a level's lamp.
+
+    Raises ``LevelError`` for a position outside of the ground's data. Raises it also for a path that leaves the terrain or goes
+    under the ground, and for a spot that meets its target.
     """
     first_s = 0.0 if spec.motion is None else spec.motion.path[0].seconds
     position = _placed(spec, "position", place, where)
@@ -135,7 +157,7 @@ def lamp_rig(name: str, spec: LightSpec, place: Geolocator, where: str) -> LampR
 
 
 def _placed(spec: LightSpec, key: Literal["position", "target"], place: Geolocator, where: str) -> Standpoint | GroundPath:
-    """Where the position or the target of a light is."""
+    """Return the standpoint or the path of a light's position or target."""
     stays: tuple[float, float, float] | None = getattr(spec, key)
     if stays is not None:
         return Standpoint(*place.above_ground(stays, f"{where}.{key}"), stays[2])
@@ -148,7 +170,7 @@ def _placed(spec: LightSpec, key: Literal["position", "target"], place: Geolocat
 
 
 def _refuse_meeting(position: Standpoint | GroundPath, target: Standpoint | GroundPath, name: str) -> None:
-    """Raise ``LevelError`` where a spot comes so near to its target that it is turned nowhere."""
+    """Raise ``LevelError`` where a spot comes so near to its target that its direction is undefined."""
     path = position if isinstance(position, GroundPath) else target
     if not isinstance(path, GroundPath):
         return
@@ -156,8 +178,8 @@ def _refuse_meeting(position: Standpoint | GroundPath, target: Standpoint | Grou
     points = [end.points_earth_m(seconds) if isinstance(end, GroundPath) else end.point_earth_m for end in (position, target)]
     meet = np.linalg.norm(points[1] - points[0], axis=-1) < LEAST_WAY_M
     if meet.any():
-        fault = Problem(f"the light is where its target is at second {seconds[meet][0]:.6g}")
-        raise LevelError(name, fault, f"positions {LEAST_WAY_M} m from the target at least")
+        fault = Problem(f"the light meets its target at second {seconds[meet][0]:.6g}")
+        raise LevelError(name, fault, f"Keep the light at least {LEAST_WAY_M} m from its target")
 
 
 def _at(where: Standpoint | GroundPath, seconds: float) -> Standpoint:
@@ -165,7 +187,10 @@ def _at(where: Standpoint | GroundPath, seconds: float) -> Standpoint:
 
 
 def axes_along(forward: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Right, down and forward (3, 3, as columns) for a direction; upright unless it is the vertical itself."""
+    """Return the axes right, down and forward (3, 3, as columns) of a direction.
+
+    The axes are upright, unless the direction is vertical.
+    """
     right = np.cross(forward, up)
     if np.linalg.norm(right) < 1e-6:
         right = np.cross(forward, np.roll(np.abs(up), 1) + np.array([0.3, 0.2, 0.1]))

@@ -1,8 +1,9 @@
-"""The sun of a level that names none: low enough, at its own place, that the ground throws shadows.
+"""The default sun of a level that names none. It stands low enough for the ground to cast shadows.
 
-It stands where the sun really passes on an afternoon of the equinox; beyond 60 degrees of latitude, where that sun stays low or
-below the horizon, on midsummer's. Its height is that of the steeper slopes that fall away from it: what is steeper still lies in
-shadow, and throws some.
+- Its azimuth and altitude are those of a real afternoon at the equinox. Beyond 60 degrees of latitude, where that sun stays low or
+  below the horizon, they are those of midsummer.
+- Its altitude is the slope angle of the level's steeper slopes that face away from it. Still steeper slopes lie in shadow, and cast
+  shadows.
 """
 
 from __future__ import annotations
@@ -17,29 +18,29 @@ STEEPER_SHARE = 0.05
 """Share of the ground that falls away from the sun more steeply than its rays."""
 
 LEAST_DEG, MOST_DEG = 4.0, 35.0
-"""A sun lower than this, where it stands lowest over the level, drowns a map in shadow; one above that throws little."""
+"""Bounds of the sun's altitude. A lower sun at the level's far side covers the map in shadow; a higher one casts little."""
 
 METRES_PER_DEGREE = 111_195.0
-"""Along a great circle: the sun stands lower by a degree so far away from it."""
+"""Metres per degree of a great circle. The sun's altitude falls by a degree over this distance away from it."""
 
 LEVEL_GROUND_DEG, OVER_LEVEL_GROUND_DEG = 0.5, 30.0
-"""Ground with hardly a slope as steep as the first throws no shadow worth a low sun: what stands on it decides."""
+"""On ground with hardly a slope steeper than the first value, the sun's altitude is the second: only objects cast shadows there."""
 
 HIGH_LATITUDE_DEG, OBLIQUITY_DEG = 60.0, 23.44
 
 BELOW_NOON = 0.9
-"""How high the sun may stand, as a share of its height at noon."""
+"""Upper bound of the sun's altitude as a share of its altitude at noon."""
 
 FLAT_WORLD_AZIMUTH_DEG = 240.0
-"""An engineering CRS has no latitude: the afternoon's south-west."""
+"""Azimuth for an engineering CRS, which has no latitude: an afternoon's south-west."""
 
 
 def own_sun(world: World, elevation: Elevation) -> SunSpec:
-    """The sun, in whole degrees."""
+    """Return the default sun of a level, in whole degrees."""
     azimuth = FLAT_WORLD_AZIMUTH_DEG
     altitude = OVER_LEVEL_GROUND_DEG
     low = LEAST_DEG
-    for _ in range(2):  # the slopes that count hang on the azimuth, and that on the altitude
+    for _ in range(2):  # the slopes depend on the azimuth, and the azimuth on the altitude
         steep = _steepness_deg(world, elevation, azimuth)
         altitude = OVER_LEVEL_GROUND_DEG if steep < LEVEL_GROUND_DEG else float(np.clip(steep, low, MOST_DEG))
         if not world.flat:
@@ -49,9 +50,10 @@ def own_sun(world: World, elevation: Elevation) -> SunSpec:
 
 
 def _afternoon(lat_deg: float, altitude_deg: float) -> tuple[float, float]:
-    """Azimuth at which the sun reaches an altitude in the afternoon, and that altitude, or less where it stays lower.
+    """Return the azimuth and altitude at which the sun reaches an altitude in the afternoon.
 
-    From sin(declination) = sin(lat) sin(alt) + cos(lat) cos(alt) cos(azimuth).
+    The returned altitude is lower where the sun stays lower. From sin(declination) = sin(lat) sin(alt) + cos(lat) cos(alt)
+    cos(azimuth).
     """
     declination_deg = OBLIQUITY_DEG * np.sign(lat_deg) if abs(lat_deg) > HIGH_LATITUDE_DEG else 0.0
     altitude_deg = min(altitude_deg, BELOW_NOON * (90.0 - abs(lat_deg - declination_deg)))
@@ -61,14 +63,17 @@ def _afternoon(lat_deg: float, altitude_deg: float) -> tuple[float, float]:
 
 
 def _half_way_deg(world: World, elevation: Elevation, azimuth_deg: float) -> float:
-    """How far it is from the level's middle to its far side from an azimuth, degrees of a great circle."""
+    """Return the distance from the level's centre to its far side along an azimuth, in degrees of a great circle."""
     azimuth = np.radians(azimuth_deg)
     cells = abs(np.sin(azimuth)) * elevation.cols + abs(np.cos(azimuth)) * elevation.rows
     return float(cells * elevation.cell_size_m(world.metres_per_unit) / 2.0 / METRES_PER_DEGREE)
 
 
 def _steepness_deg(world: World, elevation: Elevation, azimuth_deg: float) -> float:
-    """The slope that ``STEEPER_SHARE`` of the ground exceeds as it falls away from an azimuth, degrees, from the overview."""
+    """Return the slope angle in degrees that ``STEEPER_SHARE`` of the ground exceeds, facing away from an azimuth.
+
+    Computed from the overview.
+    """
     heights = elevation.overview.heights_m
     if min(heights.shape) < 2:
         return 0.0

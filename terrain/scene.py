@@ -1,4 +1,4 @@
-"""Level -> Scene: the level's world with its elevation opened and its sun placed."""
+"""The scene: a level with its elevation opened and its sun and lamps placed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pyproj.database import query_utm_crs_info
 from pyproj.exceptions import CRSError, ProjError
 
 from skugga.terrain.cache import MIB, cached, clear_scene_caches
-from skugga.terrain.errors import InputError, LevelError, SourceError
+from skugga.terrain.errors import InputError, LevelError, Problem, SourceError
 from skugga.terrain.geo.axes import axes_of, check_axes
 from skugga.terrain.geo.camera import PerspectiveView, look_at
 from skugga.terrain.geo.grid import Grid, MapView, map_view
@@ -44,28 +44,47 @@ if TYPE_CHECKING:
     from skugga.terrain.ground.surface import Surface
 
 DEFAULT_VIEW_PX = 1024
-"""Longest side of a map view whose size nobody gave."""
+"""Longest side of a map view without a given size, in pixels."""
 
 
 MAX_PERSPECTIVE_PX = 4096
-"""Longest side of a perspective view."""
+"""Maximum side of a perspective view in pixels."""
 
 UTM_WIDTH_DEG = 18.0
 
 MOST_AWAY_DEG = 0.05
-"""How far a place may lie from itself after a way into a CRS and back: datums differ by some hundred metres."""
+"""Tolerance of a round trip into a CRS and back, in degrees. Datums differ by some hundred metres."""
 
 PLACES_A_SIDE = 33
-"""Places along a side by which it is told whether a map shows anything of a level."""
+"""Sample points along a side that decide whether a map shows anything of a level."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A level's ground and light. Immutable; ``with_sun`` and ``with_lamp`` give another one over the same ground.
+    """A level's ground, objects and light. Immutable.
 
-    ``seconds`` is what the level's clock says: meshes, lamps and clouds are where they are then. ``moved_lamps`` are its lamps
-    where they are not those of the level, ``styled`` how it is shaded where that is not the level's. ``sun_is_default`` says
-    whether nobody chose the sun: the level names none, and no other was set.
+    ``with_sun``, ``with_style`` and ``with_lamp`` return another scene over the same ground.
+
+    Attributes
+    ----------
+    loaded
+        The level and its file.
+    world
+        The space of the level.
+    elevation
+        The level's raster.
+    sun
+        The sun, or ``None``.
+    objects
+        Trees, meshes and lamps.
+    seconds
+        The time of the level's clock. Meshes, lamps and clouds have their positions of this time.
+    moved_lamps
+        Lamps by name that replace the level's; empty for the level's own.
+    styled
+        The style that replaces the level's, or ``None``.
+    sun_is_default
+        Whether the level names no sun and no other sun was set.
     """
 
     loaded: LoadedLevel
@@ -80,7 +99,7 @@ class Scene:
 
     @property
     def place(self) -> Geolocator:
-        """Finds the level's places."""
+        """Locates positions on the level's ground."""
         return Geolocator(self.world, self.elevation)
 
     @cached_property
@@ -92,17 +111,20 @@ class Scene:
 
     @cached_property
     def style(self) -> Style:
-        """How the scene is shaded."""
+        """The style that shades the scene."""
         cell_m = self.elevation.cell_size_m(self.world.metres_per_unit)
         return style_of(self.loaded.level, self.styled or self.loaded.level.style, cell_m, lambda: self.objects.crown_share)
 
     @property
     def light_names(self) -> tuple[str, ...]:
-        """The lights there are: the sun first, if the level has one."""
+        """Names of the scene's lights. The sun is the first one, if the scene has a sun."""
         return (*((SUN,) if self.sun is not None else ()), *self.loaded.level.lights)
 
     def light_position(self, light: str, frame: LocalFrame) -> LightPosition:
-        """Where a light of the level is in a frame, homogeneous. Of the sun, which the level must have, the direction to it."""
+        """Return the homogeneous position of a light in a frame.
+
+        For the sun, which the scene must have, it is the direction to the sun.
+        """
         if light != SUN:
             return light_position(self.lamps[light].in_frame(frame).position_frame_m, 1.0)
         assert self.sun is not None
@@ -110,41 +132,44 @@ class Scene:
 
     @property
     def sun_is_up(self) -> bool:
-        """Whether direct sun reaches anything of the level: not by night, nor where clouds cover the whole sky."""
+        """Whether direct sunlight reaches any part of the level. False by night and under an overcast sky."""
         return self.sun is not None and (self.highest_sun_deg or 0.0) > 0.0 and not self.loaded.level.weather.overcast
 
     @cached_property
     def without_refraction(self) -> Scene:
-        """The same ground under the sun as it would be seen without an atmosphere."""
+        """The same scene with the sun's geometric position, as without an atmosphere."""
         return self if self.sun is None or not self.sun.lift_deg else replace(self, sun=self.sun.without_refraction(self.world))
 
     def close(self) -> None:
-        """Close the level's raster, let go of what stands on it, and forget all that was made from either, under any sun."""
+        """Close the level's raster and release its objects. Evict all cache entries of either, under any sun."""
         clear_scene_caches(self.elevation)
         self.objects.close()
         self.elevation.close()
 
     def at_second(self, seconds: float | None) -> Scene:
-        """The same scene at another second of the level's clock, itself where nothing moves by it (``None`` keeps the level's)."""
+        """Return the scene at another second of the level's clock (``None``: the level's).
+
+        Returns the scene itself where the clock moves nothing.
+        """
         if seconds is None or seconds == self.seconds or not self.loaded.level.movers:
             return self
         return replace(self, objects=self.objects.at_second(seconds), seconds=seconds)
 
     def with_sun(self, spec: SunSpec | None) -> Scene:
-        """The same ground under another sun (``None`` keeps the level's)."""
+        """Return the same scene under another sun (``None``: the level's)."""
         return self if spec is None else replace(self, sun=sun_of(spec, self.world), sun_is_default=False)
 
     def with_style(self, name: str | None, slope_exaggeration: float | None = None) -> Scene:
-        """The same scene in another style, or with other slopes in shading (``None`` keeps the level's).
+        """Return the same scene in another style or with another exaggeration of slopes in shading (``None``: the level's).
 
-        A style that is named comes without the level's ramp. Raises ``InputError``.
+        A style given by name does not use the level's ramp. Raises ``InputError``.
         """
         own = self.loaded.level.style
         wanted = styled(own, name, slope_exaggeration)
         return self if wanted == own else replace(self, styled=wanted)
 
     def with_lamp(self, lamp: Lamp) -> Scene:
-        """The same scene with another lamp in the place of the one of its name."""
+        """Return the same scene with a lamp that replaces the one of its name."""
         return replace(self, moved_lamps={**self.lamps, lamp.name: lamp})
 
     @cached_property
@@ -156,7 +181,7 @@ class Scene:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What may be wrong with the level although it can be drawn: sentences that say what to write."""
+        """Probable mistakes in a level that can be drawn: sentences that say what to write."""
         source = self.loaded.level.terrain.source
         if source is None or source in BUNDLED:
             return ()
@@ -164,13 +189,13 @@ class Scene:
 
     @cached_property
     def height_range_m(self) -> tuple[float, float]:
-        """Lowest and highest ground of the level, from its overview."""
+        """Lowest and highest ground of the level in metres, from its overview."""
         overview = self.elevation.overview
         return float(np.nanmin(overview.heights_m)), float(np.nanmax(overview.high_m))
 
     @cached_property
     def bounds_lon_lat(self) -> tuple[float, float, float, float] | None:
-        """West, south, east, north in degrees of what is looked at; ``None`` in a flat world."""
+        """Bounds of the level's part in use: west, south, east, north in degrees. ``None`` in a flat world."""
         if self.world.flat:
             return None
         level_bounds = self.loaded.level.terrain.bounds
@@ -181,13 +206,15 @@ class Scene:
         )
         if not np.isfinite([west, south, east, north]).all():
             raise SourceError(
-                self.elevation.name, self.elevation.crs.name, "a CRS that PROJ can transform into longitude and latitude"
+                self.elevation.name,
+                f"PROJ cannot transform its CRS '{self.elevation.crs.name}' into longitude and latitude",
+                "Use a raster with a CRS that PROJ can transform",
             )
         return west, max(south, -90.0), east + 360.0 if east < west else east, min(north, 90.0)
 
     @cached_property
     def highest_sun_deg(self) -> float | None:
-        """The sun's largest altitude anywhere over the level, degrees; ``None`` without a sun."""
+        """The sun's largest altitude anywhere over the level in degrees. ``None`` without a sun."""
         if self.sun is None:
             return None
         if self.world.flat:
@@ -199,17 +226,17 @@ class Scene:
         return max(self.sun.altitude_deg, *(position_at(self.sun.to_sun_earth, r)[1] for r in rotations))
 
     def surface(self, grid: Grid) -> Surface:
-        """The ground on the nodes of a grid."""
+        """Return the ground at the nodes of a grid."""
         from skugga.terrain.ground.surface import Surface
 
         return Surface(self.world, self.elevation, grid)
 
     @cached_property
     def map_crs(self) -> CRS:
-        """The CRS of map views that name none: the source's if it is projected or engineering, else its UTM zone.
+        """The CRS of map views that name none: the source's if it is projected or engineering, else the level's UTM zone.
 
-        A level wider than ``UTM_WIDTH_DEG``, which no zone holds, stays in longitude and latitude, and so does one of another
-        celestial body. A CRS whose axes do not run east and north is none of maps.
+        Longitude and latitude serve a level wider than ``UTM_WIDTH_DEG``, which fits no zone, and a level of another celestial
+        body. The source's CRS does not serve if its axes do not run east and north.
         """
         own = self.elevation.crs
         if self.world.flat or (own.is_projected and axes_of(own).are_standard):
@@ -232,9 +259,9 @@ class Scene:
         crs: str | None = None,
         size: tuple[int, int] | None = None,
     ) -> MapView | PerspectiveView:
-        """A view of the level; what is given here goes before what the level says. ``size`` is (width, height).
+        """Return a view of the level. Arguments override the level's settings.
 
-        ``map`` is there whether the level names it or not. Raises ``InputError``.
+        ``size`` is (width, height). The view ``map`` exists whether the level lists it or not. Raises ``InputError``.
         """
         views = {"map": MapSpec(kind="map"), **self.loaded.level.views}
         if name not in views:
@@ -244,17 +271,18 @@ class Scene:
             return self._map_view(spec, bounds, crs, size)
         for parameter, value in (("bounds", bounds), ("crs", crs)):
             if value is not None:
-                raise InputError(parameter, value, f"nothing: '{name}' is a perspective view")
+                raise InputError(parameter, Problem(f"does not apply to '{name}', a perspective view"), f"Omit {parameter}")
         where = f"{self.loaded.path}: views.{name}"
         return self._perspective_view(spec, size, f"{where}.eye", f"{where}.target")
 
     def view_from(self, spec: PerspectiveSpec, size: tuple[int, int] | None = None) -> PerspectiveView:
-        """A perspective view that the level does not list. Raises ``InputError``, naming ``eye`` or ``target`` where either lies
-        off the ground's data.
+        """Return a perspective view that the level does not list.
+
+        Raises ``InputError``, which names ``eye`` or ``target`` where it lies outside of the ground's data.
         """
         try:
             return self._perspective_view(spec, size, "eye", "target")
-        except LevelError as error:  # whoever asks is to blame, not the level
+        except LevelError as error:  # the caller's input is wrong, not the level
             raise InputError(error.name, error.value, error.allowed) from None
 
     def _perspective_view(
@@ -262,7 +290,8 @@ class Scene:
     ) -> PerspectiveView:
         width, height = size or spec.size
         if max(width, height) > MAX_PERSPECTIVE_PX:
-            raise InputError("size", f"{width}x{height}", f"at most {MAX_PERSPECTIVE_PX} a side in a perspective view")
+            limit = f"{MAX_PERSPECTIVE_PX} pixels a side in a perspective view"
+            raise InputError.over_limit("size", f"{width}x{height}", limit, "Use a smaller size")
         eye, up = self.place.above_ground(spec.eye, eye_is)
         target, _ = self.place.above_ground(spec.target, target_is)
         return look_at(eye, target, up, spec.fov, height, width)
@@ -286,9 +315,9 @@ class Scene:
             raise InputError("bounds", extent, "degrees: -540 to 540 from west to east, -90 to 90 from south to north")
         if bounds is not None and not self.shows(target, extent):
             own = ",".join(f"{value:.9g}" for value in self.default_bounds(target))
-            raise InputError("bounds", extent, f"bounds that meet the level, in units of {target.name}; its own: {own}")
+            raise InputError("bounds", extent, f"bounds that overlap the level's, which are {own} in units of {target.name}")
         size = size or spec.size
-        if size is None:  # square pixels: the shorter side grows to a whole number of them
+        if size is None:  # square pixels; the shorter side grows to a whole number of pixels
             pixel = max(east - west, north - south) / DEFAULT_VIEW_PX
             size = max(int(np.rint((east - west) / pixel)), 1), max(int(np.rint((north - south) / pixel)), 1)
             wider, higher = (size[0] * pixel - (east - west)) / 2, (size[1] * pixel - (north - south)) / 2
@@ -296,7 +325,7 @@ class Scene:
         return map_view(self.world, target, extent, rows=size[1], cols=size[0])
 
     def shows(self, crs: CRS, extent: tuple[float, float, float, float]) -> bool:
-        """Whether an extent in a CRS meets the raster: some place of a lattice over the one lies in the other."""
+        """Return whether an extent in a CRS meets the raster. Checks lattice points of each in the other."""
         west, south, east, north = extent
         x, y = np.meshgrid(np.linspace(west, east, PLACES_A_SIDE), np.linspace(south, north, PLACES_A_SIDE))
         with np.errstate(invalid="ignore"):
@@ -315,9 +344,9 @@ class Scene:
         try:
             crs = CRS.from_user_input(int(text) if text.isascii() and text.isdigit() else text)
         except CRSError:
-            raise InputError("crs", text, "a CRS that PROJ knows, as EPSG:32616") from None
+            raise InputError("crs", text, "a CRS that PROJ knows, such as EPSG:32616") from None
         if self.world.flat and crs != self.world.crs:
-            raise InputError("crs", text, f"only the level's own engineering CRS '{self.world.crs.name}'")
+            raise InputError("crs", text, f"the level's own engineering CRS '{self.world.crs.name}'")
         if not (crs.is_projected or crs.is_geographic or crs.is_engineering):
             raise InputError("crs", text, "a projected or geographic CRS")
         check_axes("crs", crs)
@@ -325,8 +354,9 @@ class Scene:
         return crs
 
     def check_crs(self, name: str, crs: CRS, text: str | None = None) -> None:
-        """Raise ``InputError``, naming a parameter, for a CRS of another celestial body than the level's, and for one that PROJ
-        cannot transform the level's into.
+        """Raise ``InputError``, which names a parameter, for a CRS that cannot serve the level.
+
+        That is a CRS of another celestial body, or one into which PROJ cannot transform the level's.
         """
         own = self.elevation.crs
         if crs == own:
@@ -337,10 +367,10 @@ class Scene:
                 return
         except ProjError:
             pass
-        raise InputError(name, text or crs.name, f"a CRS that PROJ can transform the level's into, '{own.name}'")
+        raise InputError(name, text or crs.name, f"a CRS into which PROJ can transform the level's CRS '{own.name}'")
 
     def default_bounds(self, crs: CRS) -> tuple[float, float, float, float]:
-        """West, south, east, north in a CRS of what is looked at. Raises ``InputError``."""
+        """Return the bounds of the level's part in use in a CRS: west, south, east, north. Raises ``InputError``."""
         if self.world.flat or (crs == self.elevation.crs and self.loaded.level.terrain.bounds is None):
             west, south, east, north = self.elevation.bounds
             return (west, max(south, -90.0), east, min(north, 90.0)) if crs.is_geographic else (west, south, east, north)
@@ -356,23 +386,23 @@ class Scene:
         return bounds
 
     def _bounds_across(self, crs: CRS, bounds: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-        """Bounds in a CRS of what lies on both sides of the antimeridian. Raises ``InputError`` where the CRS ends there."""
+        """Return the bounds in a CRS of a level across the antimeridian. Raises ``InputError`` where the CRS ends there."""
         lon, lat = np.meshgrid(np.linspace(bounds[0], bounds[2], PLACES_A_SIDE), np.linspace(bounds[1], bounds[3], PLACES_A_SIDE))
         places = np.stack(transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat))
-        with np.errstate(invalid="ignore"):  # a place outside of a CRS is infinite in it
+        with np.errstate(invalid="ignore"):  # points outside of a CRS have infinite coordinates
             extent = np.ptp(places, axis=(1, 2))
             torn = np.abs(np.diff(places, axis=2)).max(axis=(1, 2)) > extent / 2
         if not np.isfinite(extent).all() or torn.any():
-            allowed = "a CRS that goes on there, as a UTM zone, or bounds: the level crosses the antimeridian, where this CRS ends"
-            raise InputError("crs", crs.name, allowed)
+            ends = Problem(f"'{crs.name}' ends at the antimeridian, which the level crosses")
+            raise InputError("crs", ends, "Use a CRS that continues there, such as a UTM zone, or give bounds")
         (west, south), (east, north) = places.min(axis=(1, 2)), places.max(axis=(1, 2))
         return float(west), float(south), float(east), float(north)
 
 
 def build_scene(loaded: LoadedLevel) -> Scene:
-    """Open a level's elevation and place its anchor and sun. Raises ``LevelError``, ``SourceError`` or ``InputError``.
+    """Open a level's elevation and place its anchor and sun.
 
-    Trees and meshes are read when they are first needed.
+    Trees and meshes are read on first use. Raises ``LevelError``, ``SourceError`` or ``InputError``.
     """
     terrain, made = loaded.level.terrain, None
     if terrain.source is None:
@@ -386,7 +416,9 @@ def build_scene(loaded: LoadedLevel) -> Scene:
         terrain.positive,
     )  # fmt: skip
     if terrain.surface == "blocks" and not elevation.upright:
-        raise LevelError(f"{loaded.path}: terrain.surface", "blocks", "smooth: the raster's rows do not run from west to east")
+        raise LevelError(
+            f"{loaded.path}: terrain.surface", "blocks", "smooth, since the raster's rows do not run from west to east"
+        )
     world = _world(loaded, elevation)
     sun_is_default = loaded.level.sun is None
     loaded = with_own_sun(loaded, world, elevation)
@@ -398,7 +430,7 @@ def build_scene(loaded: LoadedLevel) -> Scene:
 
 
 def with_own_sun(loaded: LoadedLevel, world: World, elevation: Elevation) -> LoadedLevel:
-    """A level with a sun of its own place where it names none."""
+    """Return the level with a default sun if it names none."""
     if loaded.level.sun is not None:
         return loaded
     return loaded.model_copy(update={"level": loaded.level.model_copy(update={"sun": own_sun(world, elevation)})})
@@ -406,7 +438,10 @@ def with_own_sun(loaded: LoadedLevel, world: World, elevation: Elevation) -> Loa
 
 @cached("process", MIB)
 def _utm_zone(lon_deg: float, lat_deg: float) -> CRS:
-    """The UTM zone of a place. PROJ's database takes tens of milliseconds to tell, and each sun has a scene of its own."""
+    """Return the UTM zone of a position.
+
+    Cached: a look-up in PROJ's database takes tens of milliseconds, and each sun has a scene of its own.
+    """
     zones = query_utm_crs_info("WGS 84", AreaOfInterest(lon_deg, lat_deg, lon_deg, lat_deg))
     return CRS.from_epsg(int(zones[0].code))
 
@@ -415,12 +450,12 @@ def _world(loaded: LoadedLevel, elevation: Elevation) -> World:
     try:
         return _world_at(loaded, elevation)
     except ProjError:
-        needed = "a CRS that PROJ can transform into longitude and latitude, and back"
-        raise SourceError(elevation.name, elevation.crs.name, needed) from None
+        problem = f"PROJ cannot transform its CRS '{elevation.crs.name}' into longitude and latitude and back"
+        raise SourceError(elevation.name, problem, "Use a raster with a CRS that PROJ can transform") from None
 
 
 def _comes_back(crs: CRS, lon: float, lat: float) -> bool:
-    """Whether a place is the same after a way into a CRS and back: of few CRSs PROJ forgets the prime meridian on one of them."""
+    """Return whether a round trip into a CRS and back keeps a position. For a few CRSs PROJ forgets the prime meridian one way."""
     if is_longitude_latitude(crs):
         return True
     there = transformer(LONGITUDE_LATITUDE, crs).transform(lon, lat)
@@ -435,7 +470,8 @@ def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:
     unit = float(crs.axis_info[0].unit_conversion_factor or 1.0) if crs.axis_info else 1.0
     if elevation.flat:
         if bounds is not None:
-            raise LevelError(f"{loaded.path}: terrain.bounds", bounds, "no bounds in degrees: the CRS is an engineering CRS")
+            degrees = Problem("bounds in degrees do not apply to an engineering CRS")
+            raise LevelError(f"{loaded.path}: terrain.bounds", degrees, "Remove the bounds")
         return World(crs, True, x, y, metres_per_unit=unit)
     metres = 1.0 if crs.is_geographic else unit
     if bounds is not None:
@@ -448,5 +484,6 @@ def _world_at(loaded: LoadedLevel, elevation: Elevation) -> World:
     else:
         lon, lat = (x, y) if is_longitude_latitude(crs) else transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
     if not (np.isfinite([lon, lat]).all() and _comes_back(crs, float(lon), float(lat))):
-        raise SourceError(elevation.name, crs.name, "a CRS that PROJ can transform into longitude and latitude, and back")
+        problem = f"PROJ cannot transform its CRS '{crs.name}' into longitude and latitude and back"
+        raise SourceError(elevation.name, problem, "Use a raster with a CRS that PROJ can transform")
     return World(crs, False, float(x), float(y), float(lon), float(np.clip(lat, -90, 90)), metres)

@@ -1,4 +1,4 @@
-"""What stands on a level's ground: trees, meshes and lamps, read when they are first asked for, the same under every sun."""
+"""The objects on a level's ground: trees, meshes and lamps. They are read on first use and are the same under every sun."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from skugga.terrain.trees.forest import Planting
 
 CREASE_DISTANCE = 0.8
-"""Distance of unit normals (47 degrees) from which two faces meet in an edge and are not one bent surface."""
+"""Distance of unit normals (47 degrees) from which an edge between two faces is sharp, not part of one smooth surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneObjects:
-    """Trees, meshes and lamps of a level; the meshes at a second of its clock, the same at all where none moves.
+    """Trees, meshes and lamps of a level. The meshes have their positions at a second of the level's clock.
 
     Properties raise ``LevelError`` or ``SourceError``.
     """
@@ -39,14 +39,15 @@ class SceneObjects:
     seconds: float = 0.0
 
     def close(self) -> None:
-        """Let go of the trees and meshes that were read."""
+        """Release the trees and meshes that were read."""
         for name, attribute in vars(type(self)).items():
             if isinstance(attribute, cached_property):
                 self.__dict__.pop(name, None)
 
     def at_second(self, seconds: float) -> SceneObjects:
-        """The population at another second, itself where no mesh moves; what the clock does not change is shared, so that no file
-        is read again.
+        """Return the objects at another second, or these objects where no mesh moves.
+
+        Properties that do not depend on the clock are shared, so that no file is read twice.
         """
         if seconds == self.seconds or not any(mesh.moves for mesh in self.loaded.level.meshes):
             return self
@@ -56,33 +57,33 @@ class SceneObjects:
 
     @cached_property
     def planting(self) -> Planting | None:
-        """The level's forest on its ground, if it names one."""
+        """The level's forest on its ground, or ``None``."""
         if not self.loaded.level.forest:
             return None
         from skugga.terrain.trees.forest import (
             plant_trees,
-        )  # its libraries take half a second, which levels without trees need not pay
+        )  # imported here: its libraries take half a second, and only levels with trees need them
 
         return plant_trees(self.loaded, self.world, self.elevation)
 
     @property
     def trees(self) -> Trees | None:
-        """The trees, if there are any."""
+        """The trees, or ``None``."""
         return None if self.planting is None else self.planting.trees
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was read of the files of trees and footprints, in words."""
+        """Statements on what was read from the files of trees and footprints."""
         return tuple(note for found in (self.placement, self.planting) if found is not None for note in found.notes)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What of these files may not be as it was meant."""
+        """Statements on parts of these files that may not be as intended."""
         return tuple(text for found in (self.placement, self.planting) if found is not None for text in found.warnings)
 
     @cached_property
     def placement(self) -> Placement | None:
-        """What meshes stand where, whatever the clock says, if there are any."""
+        """The placement of all meshes, independent of the clock, or ``None``."""
         if not self.loaded.level.meshes:
             return None
         from skugga.terrain.meshes.assemble import place_meshes
@@ -91,13 +92,13 @@ class SceneObjects:
 
     @cached_property
     def lamp_rigs(self) -> dict[str, LampRig]:
-        """The lights besides the sun by name, wherever the clock puts them."""
+        """The rigs of the level's lamps by name, independent of the clock."""
         where, place = f"{self.loaded.path}: lights", Geolocator(self.world, self.elevation)
         return {name: lamp_rig(name, spec, place, f"{where}.{name}") for name, spec in self.loaded.level.lights.items()}
 
     @cached_property
     def solids(self) -> Solids | None:
-        """The meshes, if there are any."""
+        """The meshes, or ``None``."""
         if self.placement is None:
             return None
         from skugga.terrain.meshes.assemble import solids
@@ -107,7 +108,7 @@ class SceneObjects:
 
     @cached_property
     def solid_crease(self) -> np.ndarray:
-        """For each triangle of the meshes how much the facets round it bend (float32, as ``GroundMesh.crease``), edges left out.
+        """The bend of the facets round each triangle of the meshes, without sharp edges. float32 (n,), as ``GroundMesh.crease``.
 
         The same at every second, since bodies are rigid and share no vertices.
         """
@@ -121,22 +122,22 @@ class SceneObjects:
 
     @cached_property
     def tree_heights_m(self) -> np.ndarray:
-        """Heights (n,) of the trees' feet."""
+        """Heights (n,) of the trees' feet in metres."""
         return self.trees_on(self.elevation.crs)[:, 2]
 
     def solids_on(self, crs: CRS) -> np.ndarray:
-        """x, y in a CRS and height in metres (n, 3) of the meshes' vertices."""
+        """Return x, y in a CRS and height in metres (n, 3) of the meshes' vertices."""
         assert self.solids is not None
         return _on(self.world, self.solids.vertices_earth_m, crs)
 
     def trees_on(self, crs: CRS) -> np.ndarray:
-        """x, y in a CRS and height in metres (n, 3) of the trees' feet."""
+        """Return x, y in a CRS and height in metres (n, 3) of the trees' feet."""
         assert self.trees is not None
         return _on(self.world, self.trees.base_earth_m, crs)
 
     @cached_property
     def kinds(self) -> tuple[CasterKind, ...]:
-        """The kinds of casters that there are; ground always is."""
+        """The kinds of shadow casters in the level. The ground is always one."""
         found: list[CasterKind] = ["relief"]
         if self.solids is not None:
             found.append("meshes")
@@ -146,7 +147,7 @@ class SceneObjects:
 
     @cached_property
     def crown_share(self) -> float:
-        """Crowns' areas as a share of the ground's: more than what lies under them, where they overlap."""
+        """Area of all crowns as a share of the ground's. Larger than the covered share where crowns overlap."""
         if self.trees is None:
             return 0.0
         ground_m2 = self.elevation.rows * self.elevation.cols * self.elevation.cell_size_m(self.world.metres_per_unit) ** 2
@@ -154,7 +155,7 @@ class SceneObjects:
 
     @cached_property
     def tallest_m(self) -> float:
-        """How far anything rises above the ground it stands on, metres; 0 on bare ground."""
+        """Largest height of any object above its ground in metres; 0 on bare ground."""
         tree_m = 0.0 if self.trees is None else float(self.trees.height_m.max())
         if self.solids is None:
             return tree_m

@@ -1,6 +1,6 @@
 """Colour of the visible surface: a style's tint, Lambert's law and sky light, in linear light, encoded as sRGB.
 
-What light and which look a scene has is said here; the loops over pixels are in ``skugga.terrain.shading_loops``.
+This module prepares a scene's light and look. ``skugga.terrain.shading_loops`` has the loops over pixels.
 """
 
 from __future__ import annotations
@@ -35,53 +35,62 @@ from skugga.terrain.srgb import srgb_of_linear
 from skugga.terrain.style import TINT_COUNT, tint_table, veil_table
 
 LEVEL_ALBEDO = 0.42
-"""Linear albedo of ground without any relief, which has no heights to tint."""
+"""Linear albedo of ground without relief, which has no heights to tint."""
 
 NORTH_EARTH, NO_DIRECTION = np.array([0.0, 0.0, 1.0]), np.zeros(3)
-"""The earth's axis; and what stands for it where no latitude counts."""
+"""The earth's axis, and its placeholder where latitude has no effect."""
 
 SKY_SHARE = 0.28
 """Irradiance from the whole sky as a share of the sun's on level ground, for a sun down to ``EXPOSURE_FLOOR_DEG``."""
 
 LEVEL_GROUND = 0.86
-"""Linear exposure of level, lit, white ground: the same for every sun down to ``EXPOSURE_FLOOR_DEG``."""
+"""Linear exposure of level, sunlit, white ground. The same for every sun down to ``EXPOSURE_FLOOR_DEG``."""
 
 EXPOSURE_FLOOR_DEG = 18.0
 NIGHT_SKY = 0.08
-"""Sky light of the night as a share of the day's, so that a map can be read."""
+"""Sky light at night as a share of the day's, so that a map stays readable."""
 
 LAMP_ROOM_LIGHT = 0.4
-"""Light from all round, as a share of the day's sky light, where lamps shine and there is no sun."""
+"""Ambient light as a share of the day's sky light, in scenes with lamps and without a sun."""
 
 MAP_FOLIAGE = 2.0
-"""How much brighter foliage is in maps than leaves are: woods from above, with their own shadows, are nearly black."""
+"""Factor of foliage's albedo in maps. Woods seen from above, with their own shadows, would be nearly black."""
 
 LEAF_GLOW = 0.3
-"""Share of its light that foliage shows whichever way it is turned: leaves let light through and lie in all directions."""
+"""Share of its light that foliage shows independently of its normal. Leaves are translucent and lie in all directions."""
 
 CLOUD_LIGHT = (0.94, 0.97, 1.00)
-"""Linear colour of the light that comes through clouds."""
+"""Linear colour of the light that passes through clouds."""
 
 OVERCAST_GROUND = 0.56
-"""Linear exposure of level, white ground under clouds alone."""
+"""Linear exposure of level, white ground under an overcast sky."""
 
 SHORE_M = 1e-3
-"""Ground that is no farther than this from the height of the water is water."""
+"""Ground within this distance of the water's height is water."""
 
 _SRGB_STEPS = 4096
 
 
 @dataclass(frozen=True)
 class Daylight:
-    """Light of the sun and of the sky, linear colours (3,): irradiance at normal incidence, and from the whole sky."""
+    """Light of the sun and of the sky.
+
+    Attributes
+    ----------
+    sun
+        (3,), linear colour: the sun's irradiance at normal incidence.
+    sky
+        (3,), linear colour: the irradiance from the whole sky.
+    """
 
     sun: np.ndarray
     sky: np.ndarray
 
 
 def daylight_of(scene: Scene) -> Daylight:
-    """The day's light over a level: clouds take the direct sun away where they are (all of it if there is nothing else, else
-    by the effect ``clouds``), and make the sky grey.
+    """Return the daylight over a level.
+
+    An overcast sky has no direct sun. Under other clouds the effect ``clouds`` attenuates it. Clouds make the sky's light grey.
     """
     cover, style = scene.loaded.level.weather.cloud_cover, scene.style
     clear, grey = np.array(style.skylight) * LEVEL_GROUND * SKY_SHARE / (1.0 + SKY_SHARE), np.array(CLOUD_LIGHT) * OVERCAST_GROUND
@@ -90,8 +99,10 @@ def daylight_of(scene: Scene) -> Daylight:
 
 
 def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | None = None) -> Look:
-    """A scene's style, with the way north in a ``frame`` where latitudes count. Clouds take the sky its colour and its bright side;
-    without a sun it has neither, and there is no air over the ground; a perspective view has no veil by height.
+    """Return a scene's look in a view, as the loops need it.
+
+    ``frame`` gives the direction of north, which matters where tints depend on latitude. Clouds remove the sky's colour and its
+    bright side. Without a sun the sky has neither, and the veil of air is missing. A perspective view has no veil by height.
     """
     style = scene.style
     clear = 0.0 if scene.sun is None else 1.0 - scene.loaded.level.weather.cloud_cover
@@ -106,7 +117,7 @@ def look_of(scene: Scene, view: MapView | PerspectiveView, frame: LocalFrame | N
 
 
 def tints_of(scene: Scene) -> Tints:
-    """The colours of a scene's ground. A flat world lies at no latitude."""
+    """Return the tints of a scene's ground. In a flat world they do not depend on latitude."""
     style, (low, high) = scene.style, scene.height_range_m
     return _tints(style.ramp, style.has_climate and not scene.world.flat) if high > low else _tints(None, False)
 
@@ -122,13 +133,13 @@ def _tints(ramp: Ramp | None, has_climate: bool) -> Tints:
 
 
 def in_shade(albedo: np.ndarray, look: Look) -> np.ndarray:
-    """Linear albedos (..., 3) as the sky's light shows them: nearer to grey of the same luminance."""
+    """Return linear albedos (..., 3) as they appear in sky light: nearer to grey of the same luminance."""
     grey = np.asarray(luminance_of(albedo[..., 0], albedo[..., 1], albedo[..., 2]))[..., None]
     return albedo + look.sky_greying * (grey - albedo)
 
 
 def most_sky(scene: Scene) -> float:
-    """The largest factor that a slope has of the sky's light beyond the share that it sees: towards the sky's bright side."""
+    """Return the maximum factor of the sky's light on a slope, beyond its visible share: towards the sky's bright side."""
     return 1.0 + scene.style.sky_towards_sun * (np.sqrt(2.0) - 1.0)
 
 
@@ -140,11 +151,23 @@ def shade(
     skylight: np.ndarray | None = None,
     lamplight: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Linear display colour (rows, cols, 3) float32 in [0, 1] of a buffer's points.
+    """Return the linear display colour of a buffer's points.
 
-    ``sunlight`` (rows, cols) is the share of the sun's direct light that arrives; ``albedo`` (rows, cols, 3) goes before the
-    buffer's own; ``skylight`` (rows, cols) is the share of the sky that is seen (without it: what a slope leaves of it by itself),
-    ``lamplight`` (rows, cols, 3) what comes from elsewhere. Black where nothing is there.
+    Parameters
+    ----------
+    sunlight
+        (rows, cols), the visible share of the sun's direct light.
+    albedo
+        (rows, cols, 3), overrides the buffer's albedo.
+    skylight
+        (rows, cols), the visible share of the sky. Default: the share that the slope itself leaves.
+    lamplight
+        (rows, cols, 3), light of lamps.
+
+    Returns
+    -------
+    numpy.ndarray
+        (rows, cols, 3) float32 in [0, 1]; black where the pixel has no surface.
     """
     if albedo is None:
         albedo = buffer.albedo if scene.loaded.level.water is None else albedo_of(buffer, scene)
@@ -157,14 +180,15 @@ def shade(
 
 
 def light_here(scene: Scene, frame: LocalFrame) -> LightHere:
-    """A scene's day in a frame."""
+    """Return the daylight of a scene in a frame."""
     light, to_sun = daylight_of(scene), np.zeros(3) if scene.sun is None else scene.sun.in_frame(frame)
     return LightHere(scene.sun is not None, to_sun, light.sun, light.sky, night_of(scene))
 
 
 def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.ndarray:
-    """sRGB (rows, cols, 3) uint8 of bare ground: ``srgb_encoded`` of ``shade``, in one pass. ``sunlight`` (rows, cols) is the share
-    of the sun's direct light that arrives. Black where there is no ground.
+    """Return the sRGB colour (rows, cols, 3) uint8 of bare ground: ``srgb_encoded`` of ``shade``, in one pass.
+
+    ``sunlight`` (rows, cols) is the visible share of the sun's direct light. Pixels without ground are black.
     """
     assert scene.sun is not None
     out = np.zeros((*ground.there.shape, 3), np.uint8)
@@ -179,7 +203,7 @@ def shaded_ground(ground: BareGround, scene: Scene, sunlight: np.ndarray) -> np.
 
 
 def open_sky(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
-    """Share of the sky (rows, cols) float32 that a slope leaves by itself: half of it upright, all of it lying flat."""
+    """Return the share of the sky (rows, cols) float32 that a slope itself leaves: a half if vertical, all of it if level."""
     out = np.zeros(buffer.there.shape, np.float32)
     centre = scene.world.up_from(buffer.frame)
     in_shares(len(out), slopes_sky, buffer.there, buffer.shading_normal_frame, buffer.position_frame_m, centre, out)
@@ -187,12 +211,12 @@ def open_sky(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
 
 
 def night_of(scene: Scene) -> float:
-    """Sky light of the night, or of a room, as a share of the day's."""
+    """Return the sky light at night, or the ambient light of a room, as a share of the day's."""
     return LAMP_ROOM_LIGHT if scene.lamps and scene.sun is None else NIGHT_SKY
 
 
 def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
-    """Linear albedo (rows, cols, 3) float32 of a buffer's points, the ground's tint and water included: a new array."""
+    """Return the linear albedo (rows, cols, 3) float32 of a buffer's points, with tint and water, as a new array."""
     albedo = np.zeros((*buffer.there.shape, 3), np.float32)
     in_shares(
         len(albedo), albedo_rows, buffer.shown, scene.world.up_from(buffer.frame), buffer.albedo,
@@ -205,12 +229,12 @@ def albedo_of(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
 
 
 def water_in(buffer: GeometryBuffer, scene: Scene) -> np.ndarray:
-    """Where (rows, cols) a buffer shows standing water: ground at its height."""
+    """Return the mask (rows, cols) of pixels that show standing water: ground at the water's height."""
     return (buffer.kind == RELIEF) & (np.abs(buffer.height_m - scene.elevation.water_m) <= SHORE_M)
 
 
 def srgb_encoded(linear: np.ndarray) -> np.ndarray:
-    """sRGB as uint8 of linear display colour in [0, 1]."""
+    """Encode linear display colour in [0, 1] as sRGB, uint8."""
     out = np.empty(linear.shape, np.uint8)
     flat = np.ascontiguousarray(linear).reshape(-1)
     in_shares(flat.size, encode_rows, flat, _srgb_table(), out.reshape(-1))
@@ -218,8 +242,9 @@ def srgb_encoded(linear: np.ndarray) -> np.ndarray:
 
 
 def exposure_of(altitude_deg: float | None) -> float:
-    """Exposure for a sun's altitude at the anchor (``None``: no sun, but lamps of its strength): level, lit, white ground keeps its
-    brightness down to ``EXPOSURE_FLOOR_DEG``, and what the sky gives of it for every sun.
+    """Return the exposure for a sun's altitude at the anchor (``None``: no sun, but lamps of its strength).
+
+    Level, sunlit, white ground keeps its brightness down to ``EXPOSURE_FLOOR_DEG``. Its sky light is the same for every sun.
     """
     if altitude_deg is None:
         return LEVEL_GROUND

@@ -1,6 +1,6 @@
-"""The loops of shading: how light falls on slopes, what a tint makes of it, and what of that a screen shows.
+"""Loops of shading: light on slopes, tints, and the tone curve of the display.
 
-All that is compiled together is in this one file, since what is kept of a compiled loop is made anew when its own file changes.
+All loops that are compiled together are in this file: a change of a loop's own file invalidates its stored machine code.
 """
 
 from __future__ import annotations
@@ -15,30 +15,45 @@ from skugga.terrain.interpolation_loops import smoothstep_of
 from skugga.terrain.style import NO_SLOPE_LIMIT, TINT_COUNT, TINT_LOW_M, TINT_STEP_M
 
 SHOULDER, SHOULDER_LEFT = 0.6, 0.4
-"""Linear colour from which on brighter light is shown darker than it is, and what is left from there to white."""
+"""Linear colour at which the tone curve's shoulder begins, and the range from there to white."""
 
 LEAST_SKY = 0.3
-"""Least factor of the sky's light on a slope that is turned away from the sky's bright side."""
+"""Minimum factor of the sky's light on a slope that faces away from the sky's bright side."""
 
 LEAST_ACROSS = 0.15
-"""Least cosine of the sun's altitude by which its direction on the horizon is told: near the zenith it has none."""
+"""Minimum cosine of the sun's altitude for its horizontal direction. Near the zenith that direction is undefined."""
 
 LEAST_GRAZING = 1e-9
-"""Cosine to the sun from which on light is told from none."""
+"""Minimum cosine to the sun that counts as lit."""
 
 AIR = (0.66, 0.74, 0.84)
-"""Linear colour of the veil of air over low ground, by day."""
+"""Linear colour by day of the veil of air over low ground."""
 
 HIGH_SUN_DEG = 6.01
-"""From here on the sun's altitude changes neither direct light nor the sky's (``shade_rows``, ``dusk_of``), and a hundredth of a
-degree before: it is looked at in some places of a map alone.
+"""From this altitude of the sun on, direct light and sky light are constant (``shade_rows``, ``dusk_of``).
+
+It is a hundredth of a degree above the exact limit, since only some points of a map are checked.
 """
 
 HIGH_SUN_SINE = float(np.sin(np.radians(HIGH_SUN_DEG)))
 
 
 class LightHere(NamedTuple):
-    """A day's light, the direction (3,) to its sun in a frame, and the night's share of the sky's."""
+    """Daylight in a frame.
+
+    Attributes
+    ----------
+    has_sun
+        Whether the scene has a sun.
+    to_sun_frame
+        (3,), the direction to the sun.
+    sun
+        (3,), the sun's irradiance at normal incidence.
+    sky
+        (3,), the irradiance from the whole sky.
+    night
+        Sky light at night as a share of the day's.
+    """
 
     has_sun: bool
     to_sun_frame: np.ndarray
@@ -48,8 +63,15 @@ class LightHere(NamedTuple):
 
 
 class Tints(NamedTuple):
-    """The ground's linear colours and their luminances (m, 4, n), at even steps of the latitude's sine from -1 to 1 (m = 1: one for
-    all latitudes), and by height; and from which height on (m - 1,) a row differs from the next one.
+    """The ground's tints by latitude and height.
+
+    Attributes
+    ----------
+    table
+        (m, 4, n), linear colours and their luminance, at even steps of the latitude's sine from -1 to 1 and by height. With m = 1
+        one row serves all latitudes.
+    differs_from
+        (m - 1,), index of the height from which on a row differs from the next one.
     """
 
     table: np.ndarray
@@ -57,9 +79,26 @@ class Tints(NamedTuple):
 
 
 class Look(NamedTuple):
-    """What a style makes of ground and light, as the loops take it: tints, the direction (3,) of the earth's axis in a frame,
-    greying and direction of the sky's light, the slopes' factor and limit, the veil's share (n,) by height, and a factor of
-    foliage's albedo.
+    """A style's parameters, as the loops read them.
+
+    Attributes
+    ----------
+    tints
+        The ground's tints.
+    north_frame
+        (3,), the direction of the earth's axis in a frame.
+    sky_greying
+        Desaturation in the sky's light, 0 to 1.
+    sky_towards_sun
+        Share of the sky's light that comes from the sun's side, 0 to 1.
+    terminator
+        Share of level ground's direct light below which slopes fade into attached shadow.
+    slope_exaggeration, slope_limit
+        Factor of slopes, and the slope (a tangent) that they approach.
+    veil
+        (n,), the veil's share by height.
+    foliage
+        Factor of foliage's albedo.
     """
 
     tints: Tints
@@ -75,7 +114,10 @@ class Look(NamedTuple):
 
 @compiled
 def dusk_of(sine):
-    """Share of the day's sky light for the sine of the sun's altitude: all from 6 degrees on, none below -12 (nautical dusk)."""
+    """Return the share of the day's sky light for the sine of the sun's altitude.
+
+    All of it from 6 degrees on, none below -12 degrees (nautical dusk).
+    """
     if sine > HIGH_SUN_SINE:
         return 1.0
     altitude = np.degrees(np.arcsin(min(max(sine, -1.0), 1.0)))
@@ -84,23 +126,25 @@ def dusk_of(sine):
 
 @compiled
 def shoulder(linear):
-    """Display colour of linear light: itself up to ``SHOULDER``, from there on ever less, so that slopes that face a low sun keep
-    their tint.
+    """Return the display colour of linear light: a tone curve with a shoulder.
+
+    The curve is the identity up to ``SHOULDER`` and flattens from there on. Slopes that face a low sun keep their tint.
     """
     return linear if linear <= SHOULDER else 1.0 - SHOULDER_LEFT**2 / (linear + SHOULDER_LEFT - SHOULDER)
 
 
 @compiled
 def luminance_of(red, green, blue):
-    """Luminance of linear sRGB (ITU-R BT.709)."""
+    """Return the luminance of linear sRGB (ITU-R BT.709)."""
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
 @compiled
 def _on_slope(facing, upright, sine, exaggeration, limit):
-    """A slope's cosines to the sun and to the zenith as shading takes them: its slope t made t' = a t / sqrt(1 + (a t / limit)**2).
+    """Return a slope's cosines to the sun and to the zenith, with the slope exaggerated and limited.
 
-    Of a normal n, ``facing`` is n.s and ``upright`` n.u, with s the sun's direction and u up; ``sine`` is s.u.
+    The slope t becomes t' = a t / sqrt(1 + (a t / limit)**2). For a normal n, ``facing`` is n.s and ``upright`` n.u, with s the
+    sun's direction and u up; ``sine`` is s.u.
     """
     if upright <= 0.0:
         return facing, upright
@@ -114,8 +158,9 @@ def _on_slope(facing, upright, sine, exaggeration, limit):
 
 @compiled
 def _sky_on_slope(facing, upright, sine, towards):
-    """Factor of the sky's light on a slope, if the share ``towards`` of it comes from 45 degrees over the sun's azimuth: 1 on level
-    ground.
+    """Return the factor of the sky's light on a slope; 1 on level ground.
+
+    The share ``towards`` of the light comes from 45 degrees above the horizon at the sun's azimuth.
     """
     across = (facing - sine * upright) / max(np.sqrt(max(1.0 - sine * sine, 0.0)), LEAST_ACROSS)
     return max(1.0 + towards * (across + upright - 1.0), LEAST_SKY)
@@ -123,9 +168,10 @@ def _sky_on_slope(facing, upright, sine, towards):
 
 @compiled
 def _towards_sun(facing, sine, terminator):
-    """How much direct light falls on a slope: Lambert's cosine, and less where that is below the share ``terminator`` of what
-    level ground has. Facets of a raster that are turned away, beside others that are not, would be seen as dark squares on slopes
-    that the light grazes.
+    """Return the direct light on a slope: Lambert's cosine, reduced near the terminator.
+
+    The reduction begins where the cosine is below the share ``terminator`` of level ground's. Without it, facets of a raster that
+    face away would show as dark squares on slopes that the light grazes.
     """
     cosine = max(facing, 0.0)
     share = min(cosine / max(terminator * sine, LEAST_GRAZING), 1.0)
@@ -134,7 +180,7 @@ def _towards_sun(facing, sine, terminator):
 
 @internal
 def _direct_at(sine):
-    """Direct light fades in over the first degree of the sun's altitude at a place."""
+    """Return the factor of direct light, which fades in over the first degree of the sun's altitude at a place."""
     if sine > HIGH_SUN_SINE:
         return 1.0
     return min(max(np.degrees(np.arcsin(min(max(sine, -1.0), 1.0))), 0.0), 1.0)
@@ -142,7 +188,7 @@ def _direct_at(sine):
 
 @compiled
 def slopes_sky(first, last, there, normal, position, centre, out):
-    """Some rows of the share of the sky that slopes leave by themselves, by normals, places in a frame, and the Earth's centre."""
+    """Compute the share of the sky that slopes themselves leave, for some rows."""
     for i in range(first, last):
         for j in range(there.shape[1]):
             if there[i, j]:
@@ -153,15 +199,18 @@ def slopes_sky(first, last, there, normal, position, centre, out):
 
 @compiled
 def encode_rows(first, last, linear, table, out):
-    """A part of linear display colours as sRGB, looked up in a table of even steps from 0 to 1."""
+    """Encode a part of linear display colours as sRGB. ``table`` has even steps from 0 to 1."""
     for n in range(first, last):
         out[n] = table[min(np.int32(linear[n] * table.size), table.size - 1)]
 
 
 @compiled
 def shade_rows(first, last, shown, look, light_here, centre, glow, albedo, sunlight, skylight, lamplight, out):
-    """Some rows of linear display colour of what a buffer has ``shown``; ``glow`` is the leaves' share of light (``LEAF_GLOW``)."""
-    # What is None is decided when this is compiled: each variant holds the code of what it is given alone.
+    """Compute the linear display colour of some rows of a buffer.
+
+    ``glow`` is the foliage's share of light (``LEAF_GLOW``).
+    """
+    # Arguments that are None are known at compile time: each variant contains only the code for its own arguments.
     there, kind, position, height, normal = shown
     tints, north, greying, towards, terminator, exaggeration, limit, veils, foliage = look
     has_sun, to_sun, sun, sky, night = light_here
@@ -175,7 +224,7 @@ def shade_rows(first, last, shown, look, light_here, centre, glow, albedo, sunli
             ux, uy, uz = p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]
             length = np.sqrt(ux * ux + uy * uy + uz * uz)
             seen = 0.5 + 0.5 * (n[0] * ux + n[1] * uy + n[2] * uz) / length if skylight is None else skylight[i, j]
-            # Rounded as that of bare ground is, whose pictures are the same.
+            # Rounded as in ``shade_bare_ground``, so that both give the same picture.
             ux, uy, uz = _rounded(ux / length), _rounded(uy / length), _rounded(uz / length)
             sine = to_sun[0] * ux + to_sun[1] * uy + to_sun[2] * uz if has_sun else -1.0
             upright = n[0] * ux + n[1] * uy + n[2] * uz
@@ -213,23 +262,23 @@ def _rounded(value):
 
 @internal
 def _place_in_tint(height):
-    """Which of the heights that a ramp is tabulated at lies below one, and by what share of the way to the next it is beyond."""
+    """Return the index of the tabulated height at or below a height, and the fraction of the way to the next one."""
     share = min(max((height - TINT_LOW_M) / TINT_STEP_M, 0.0), TINT_COUNT - 1.0)
-    at = np.int32(min(share, TINT_COUNT - 2.0) if share > 0.0 else 0.0)  # any where there is no ground
+    at = np.int32(min(share, TINT_COUNT - 2.0) if share > 0.0 else 0.0)  # NaN, without ground, gives any index
     return at, share - at
 
 
 @internal
 def _place_in_latitudes(sine, rows):
-    """Which of the tints' rows lies below a latitude's sine, and by what share of the way to the next it is beyond."""
+    """Return the index of the tints' row at or below a latitude's sine, and the fraction of the way to the next one."""
     share = min(max(0.5 * (sine + 1.0) * (rows - 1), 0.0), rows - 1.0)
-    at = np.int32(min(share, rows - 2.0) if share > 0.0 else 0.0)  # any where there is no ground
+    at = np.int32(min(share, rows - 2.0) if share > 0.0 else 0.0)  # NaN, without ground, gives any index
     return at, share - at
 
 
 @internal
 def _tinted(table, sine, at, beyond):
-    """The ground's colour at a latitude's sine, there."""
+    """Return the ground's colour at the sine of a latitude and a place in the heights' table."""
     if table.shape[0] == 1:
         return _tint_at(table, 0, 0, at, beyond), _tint_at(table, 0, 1, at, beyond), _tint_at(table, 0, 2, at, beyond)
     row, further = _place_in_latitudes(sine, table.shape[0])
@@ -253,8 +302,9 @@ def _tint_between(table, row, further, k, at, beyond):
 
 @compiled
 def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, light_here, table, out):
-    """``shade_rows`` of bare ground and ``srgb_encoded`` of that, row by row: in loops that compile to vector instructions, and
-    what is looked up in tables between them.
+    """Compute ``srgb_encoded`` of ``shade_rows`` for bare ground, row by row.
+
+    Inner loops compile to vector instructions; table look-ups run between them.
     """
     tints, north, greying, towards, terminator, exaggeration, limit, veils, _ = look
     _, to_sun, sun, sky, night = light_here
@@ -267,7 +317,7 @@ def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, ligh
     latitude, further, rows = np.empty(cols), np.empty(cols), np.zeros(cols, np.int32)
     for i in range(there.shape[0]):
         _face(up[i], (to_sun[0], to_sun[1], to_sun[2]), sines)
-        high_everywhere = True  # a hole has no sine
+        high_everywhere = True  # pixels without ground have a NaN sine, which the comparison ignores
         for j in range(cols):
             high_everywhere = high_everywhere and not sines[j] <= HIGH_SUN_SINE
         for j in range(cols):
@@ -298,14 +348,14 @@ def shade_bare_ground(there, height, normal, up, sky_share, sunlight, look, ligh
 
 @internal
 def _face(normal, to_sun, out):
-    """Cosines of normals (n, 3) to the sun."""
+    """Compute the cosines of normals (n, 3) to the sun."""
     for j in range(out.size):
         out[j] = normal[j, 0] * to_sun[0] + normal[j, 1] * to_sun[1] + normal[j, 2] * to_sun[2]
 
 
 @internal
 def _stand(normal, up, out):
-    """Cosines of normals (n, 3) to the zenith, of which ``up`` (n, 3) are the directions."""
+    """Compute the cosines of normals (n, 3) to the zenith, with the zenith's directions ``up`` (n, 3)."""
     for j in range(out.size):
         x, y, z = np.float64(up[j, 0]), np.float64(up[j, 1]), np.float64(up[j, 2])
         out[j] = normal[j, 0] * x + normal[j, 1] * y + normal[j, 2] * z
@@ -313,42 +363,42 @@ def _stand(normal, up, out):
 
 @internal
 def _steepen(facing, upright, sines, exaggeration, limit):
-    """``_on_slope`` of a row."""
+    """Apply ``_on_slope`` to a row, in place."""
     for j in range(facing.size):
         facing[j], upright[j] = _on_slope(facing[j], upright[j], sines[j], exaggeration, limit)
 
 
 @internal
 def _sky_on_row(facing, upright, sines, towards, sky_share, sky_here, out):
-    """How much of the sky's light falls on a row's slopes."""
+    """Compute the sky's light on a row's slopes."""
     for j in range(out.size):
         out[j] = sky_share[j] * _sky_on_slope(facing[j], upright[j], sines[j], towards) * sky_here[j]
 
 
 @internal
 def _sun_on_row(facing, sines, terminator, direct):
-    """Take a row's direct light to what falls on its slopes."""
+    """Multiply a row's direct light by its factor on the slopes, in place."""
     for j in range(direct.size):
         direct[j] *= _towards_sun(facing[j], sines[j], terminator)
 
 
 @internal
 def _place_row(heights, beyond, at):
-    """``_place_in_tint`` of a row."""
+    """Apply ``_place_in_tint`` to a row."""
     for j in range(heights.size):
         at[j], beyond[j] = _place_in_tint(heights[j])
 
 
 @internal
 def _place_row_in_latitudes(sines, count, further, rows):
-    """``_place_in_latitudes`` of a row."""
+    """Apply ``_place_in_latitudes`` to a row."""
     for j in range(sines.size):
         rows[j], further[j] = _place_in_latitudes(sines[j], count)
 
 
 @internal
 def _is_one_climate(differs_from, there, rows, at):
-    """Whether one of the tints' rows serves all ground of a row of pixels, and which."""
+    """Return whether one row of the tints serves all valid pixels of a row, and its index."""
     first, last, highest = np.int32(differs_from.size), np.int32(-1), np.int32(0)
     for j in range(at.size):
         if there[j]:
@@ -361,7 +411,7 @@ def _is_one_climate(differs_from, there, rows, at):
 
 @internal
 def _look_up_colors(table, is_one, row, k, rows, further, at, beyond, out):
-    """A channel of the tints of a row of pixels: of one row of the table, or between two for each pixel."""
+    """Look up a channel of the tints for a row of pixels: in one row of the table, or between two rows for each pixel."""
     if is_one:
         _look_up_tint(table[row, k], at, beyond, out)
     else:
@@ -378,7 +428,7 @@ def _look_up_tint(tints, at, beyond, out):
 
 @internal
 def _srgb_steps_of(own, grey, greying, sun, sky, direct, seen, veil, sky_here, air, steps, out):
-    """Which of the table's ``steps`` the colour is that ground shows of light, with a shoulder and the veil of air."""
+    """Compute the indices in an sRGB table of ``steps`` for the colour of lit ground, after tone curve and veil of air."""
     many = np.float32(steps)
     for j in range(out.size):
         shown = own[j] * (sun * direct[j]) + (own[j] + greying * (grey[j] - own[j])) * (sky * seen[j])
@@ -397,7 +447,7 @@ def _look_up_srgb(there, step, table, out):
 
 @compiled
 def albedo_rows(first, last, shown, centre, albedo, look, out):
-    """Some rows of linear albedo of what a buffer has ``shown``: the tints of places, but where there is an albedo."""
+    """Compute the linear albedo of some rows of a buffer: the tint, unless ``albedo`` has a value."""
     there, _, position, height, _ = shown
     tints, north = look.tints, look.north_frame
     for i in range(first, last):

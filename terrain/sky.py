@@ -1,19 +1,20 @@
-"""The sky behind a perspective view, and the light of air without an end that haze and water take from it.
+"""The sky behind a perspective view, which is also the light of infinitely deep air that haze and water use.
 
-By day the colour goes from the horizon's to the zenith's with the sine of the altitude. What a low sun adds follows its light's way
-through the air:
+By day the colour changes from the horizon's to the zenith's with the sine of the altitude. A low sun adds colour by its light's
+path through the air:
 
-- its colour is what the optical mass of that way (F. Kasten and A. T. Young 1989, "Revised optical air mass tables and
-  approximation formula", Applied Optics 28(22)) leaves of white: Rayleigh's scattering takes blue first (depths of a clear
-  atmosphere as in E. Bruneton and F. Neyret 2008, "Precomputed atmospheric scattering", and a little aerosol);
-- the foot of the sky is lit by that light, most below the sun and a little opposite to it; light that was scattered more than once
-  makes it paler, so that only a share of the depth counts;
-- towards the zenith red goes first, as thinner air has less to scatter: orange, yellow, a pale green, blue;
-- round the sun air and dust scatter forwards (L. G. Henyey and J. L. Greenstein 1941): a wide lobe and a narrow one.
+- The colour is white light after the optical air mass of that path (F. Kasten and A. T. Young 1989, "Revised optical air mass
+  tables and approximation formula", Applied Optics 28(22)). Rayleigh scattering removes blue first. Depths are those of a clear
+  atmosphere (E. Bruneton and F. Neyret 2008, "Precomputed atmospheric scattering") with a little aerosol.
+- That light colours the foot of the sky, most below the sun and a little opposite to it. Multiple scattering makes it paler, so
+  only a share of the optical depth counts.
+- Towards the zenith red fades first, since thinner air scatters less: orange, yellow, a pale green, blue.
+- Round the sun, air and dust scatter forwards in a wide and a narrow lobe (L. G. Henyey and J. L. Greenstein 1941).
 
-**No bands.** A sky's 8-bit steps are some pixels wide and would show as bands. Each pixel is moved by up to half a step before it
-is encoded, by interleaved gradient noise (J. Jimenez 2014, "Next generation post processing in Call of Duty: Advanced Warfare").
-It goes by the pixel's place on the camera's image plane alone: a picture is the same every time, and so is every part of one.
+**Dithering.** Without it a sky's 8-bit steps, some pixels wide, would show as bands. Each pixel is moved by up to half a step
+before encoding, by interleaved gradient noise (J. Jimenez 2014, "Next generation post processing in Call of Duty: Advanced
+Warfare"). The noise depends only on the pixel's position on the camera's image plane. Pictures are reproducible, and so are parts
+of pictures.
 """
 
 from __future__ import annotations
@@ -32,45 +33,59 @@ SKY_ZENITH, SKY_HORIZON = (0.20, 0.36, 0.66), (0.72, 0.82, 0.92)
 """Linear colours of the day's sky behind a perspective view."""
 
 CLOUDY_SKY = (0.60, 0.64, 0.68)
-"""Linear colour of a sky that clouds cover."""
+"""Linear colour of an overcast sky."""
 
 AIR_DEPTH = (0.105, 0.180, 0.325)
-"""Optical depth of the air overhead for red, green and blue light: Rayleigh's scattering, ozone, 0.05 of aerosol."""
+"""Optical depth of the air overhead for red, green and blue light: Rayleigh scattering, ozone and 0.05 of aerosol."""
 
 SCATTERED_ONCE = 0.45
-"""Share of that depth that colours the foot of the sky; the rest is made up for by light that was scattered more than once."""
+"""Share of that depth that colours the foot of the sky. Multiple scattering compensates the rest."""
 
 MOST_AIR_MASS = 22.0
-"""Optical mass of the air of a way that still counts: what comes through more (a sun below 1.5 degrees) is lit from above, too."""
+"""Maximum optical air mass of a path. Light with a larger one (a sun below 1.5 degrees) is lit from above, too."""
 
 LOW_SUN_DEG = (2.0, 16.0)
-"""Altitudes of the sun up to which the foot of the sky has its light's colour, and from which on it has none of it."""
+"""Altitudes of the sun: up to the first the foot of the sky has the sunlight's full colour, from the second on none."""
 
 OPPOSITE = 0.22
-"""Of that colour, the share that is seen opposite to the sun."""
+"""Share of that colour opposite to the sun."""
 
 DAY_FALL, LOW_FALL = (4.0, 4.0, 4.0), (7.5, 5.2, 4.2)
-"""How fast the horizon's colour goes over into the zenith's, per sine of the altitude, under a high sun and under a low one."""
+"""Rates per sine of the altitude at which the horizon's colour fades into the zenith's: under a high sun, and under a low one."""
 
 DEEP_ZENITH = 0.25
-"""By how much the zenith is darker under a low sun, as a share."""
+"""Share by which a low sun darkens the zenith."""
 
 LOBES = ((0.72, 0.40), (0.965, 0.55))
-"""Asymmetry of the lobes of light round the sun, and the share of the sun's colour in the middle of each."""
+"""Asymmetry of each lobe of light round the sun, and the share of the sun's colour in its middle."""
 
 TWILIGHT_DEG = 9.0
-"""How far below the horizon the sun still colours the foot of the sky."""
+"""Depression of the sun below the horizon down to which it colours the foot of the sky."""
 
 PIXEL_RUN = 1024
-"""Pixels that are worked on at a time."""
+"""Pixels per batch."""
 
 HORIZON_AZIMUTHS = 129
-"""Directions along the horizon in which its colour is looked at, from the sun's to the opposite one; closest near the sun."""
+"""Samples of the horizon's colour, from the sun's azimuth to the opposite one; densest near the sun."""
 
 
 class Sky(NamedTuple):
-    """A sky's linear colours (3,): at the horizon below the sun and opposite to it, at the zenith, and of the light round the sun,
-    of which there is the share ``aureole``; ``fall`` (3,) per sine of the altitude; ``sun`` (2,): sine and cosine of its altitude.
+    """A sky's parameters. Colours are linear RGB (3,).
+
+    Attributes
+    ----------
+    below_sun, opposite
+        The horizon's colour below the sun, and opposite to it.
+    zenith
+        The zenith's colour.
+    glow
+        The colour of the light round the sun.
+    aureole
+        Share of ``glow``, 0 to 1.
+    fall
+        (3,), rates per sine of the altitude at which the horizon's colour fades into the zenith's.
+    sun
+        (2,), sine and cosine of the sun's altitude.
     """
 
     below_sun: np.ndarray
@@ -83,7 +98,7 @@ class Sky(NamedTuple):
 
 
 def sky_of(scene: Scene) -> Sky:
-    """The sky of a scene, by the sun's altitude and the clouds; dark by night."""
+    """Return the sky of a scene, by the sun's altitude and the clouds. Dark at night."""
     altitude_deg = -90.0 if scene.sun is None else scene.sun.altitude_deg
     sine = np.sin(np.radians(altitude_deg))
     light, cover = 0.02 + 0.98 * float(dusk_of(sine)), scene.loaded.level.weather.cloud_cover
@@ -104,7 +119,10 @@ def sky_of(scene: Scene) -> Sky:
 
 
 def horizon_colors(scene: Scene) -> np.ndarray:
-    """Linear display colours (n, 3) of the horizon, from below the sun to the opposite side: any of it lies between two of them."""
+    """Return linear display colours (n, 3) of the horizon, from below the sun to the opposite side.
+
+    Colours in between may be interpolated.
+    """
     out = np.empty((3, HORIZON_AZIMUTHS))
     azimuths = np.pi * np.linspace(0.0, 1.0, HORIZON_AZIMUTHS) ** 2
     sky_colors(sky_of(scene), np.zeros(HORIZON_AZIMUTHS), np.cos(azimuths), out)
@@ -112,14 +130,14 @@ def horizon_colors(scene: Scene) -> np.ndarray:
 
 
 def sunward(to_sun: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """The level direction (3,) below the sun, unit length; 0 where it stands overhead, or there is none."""
+    """Return the horizontal unit direction (3,) towards the sun's azimuth; 0 if the sun is at the zenith or missing."""
     level = to_sun - (to_sun @ up) * up
     length = float(np.linalg.norm(level))
     return level / length if length > 1e-9 else np.zeros(3)
 
 
 def sky(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
-    """Linear display colour (n, 3) of the sky in some pixels of a view, moved by up to half an 8-bit step against bands."""
+    """Return the linear display colour (n, 3) of the sky in some pixels of a view, dithered by up to half an 8-bit step."""
     up = np.array([0.0, 0.0, 1.0]) if scene.world.flat else view.eye_earth_m / np.linalg.norm(view.eye_earth_m)
     level = np.zeros(3) if scene.sun is None else sunward(scene.sun.to_sun_earth, up)
     pixels = np.array([view.col0, view.row0, view.step])
@@ -131,7 +149,10 @@ def sky(scene: Scene, view: PerspectiveView, rows: np.ndarray, cols: np.ndarray)
 
 @compiled
 def sky_color(sky, sine, along, out):
-    """The colour of a direction: the sine of its altitude, and the cosine of the azimuth between it and the sun."""
+    """Compute the sky's colour in a direction.
+
+    ``sine`` is the sine of its altitude, ``along`` the cosine of the azimuth between it and the sun.
+    """
     below_sun, opposite, zenith, glow, aureole, fall, sun = sky
     sine = max(sine, 0.0)
     facing = 0.5 + 0.5 * along
@@ -152,7 +173,7 @@ def sky_color(sky, sine, along, out):
 
 @compiled
 def sky_colors(sky, sine, along, out):
-    """``sky_color`` of many directions (n,), into (3, n), in loops that compile to vector instructions."""
+    """Compute ``sky_color`` of many directions (n,) into (3, n), in loops that compile to vector instructions."""
     below_sun, opposite, zenith, glow, aureole, fall, sun = sky
     light, share = np.zeros(sine.size), np.empty(sine.size)
     if aureole > 0.0:
@@ -175,10 +196,10 @@ def sky_colors(sky, sine, along, out):
 
 @compiled
 def passing(per_length, length, out):
-    """Shares of light (n,) that pass through lengths, exp(-per_length * length); all where a length is negative.
+    """Compute the transmittance (n,) of lengths, exp(-per_length * length); 1 for a negative length.
 
-    That is exp(-per_length * length / 1024)**1024, by its series: a call of a library's function for each would take most of the
-    time. Right to 1e-12 of all light.
+    Evaluated as exp(-per_length * length / 1024)**1024 by its series, since calls of a library's function would take most of the
+    time. The absolute error is below 1e-12.
     """
     for n in range(out.size):
         x = max(-per_length * max(length[n], 0.0), -80.0) / 1024.0
@@ -190,7 +211,7 @@ def passing(per_length, length, out):
 
 @compiled
 def gradient_noise(x, y):
-    """Noise in [-0.5, 0.5) at the place of a pixel (J. Jimenez 2014)."""
+    """Return interleaved gradient noise in [-0.5, 0.5) at the position of a pixel (J. Jimenez 2014)."""
     inner = 0.06711056 * x + 0.00583715 * y
     outer = 52.9829189 * (inner - np.floor(inner))
     return outer - np.floor(outer) - 0.5
@@ -198,7 +219,7 @@ def gradient_noise(x, y):
 
 @compiled
 def _sky(first, last, rows, cols, pixels, focal, up, level, sky, out):
-    """In runs, by ``sky_colors``."""
+    """Compute the sky's colour of some pixels in batches, by ``sky_colors``."""
     px, py, sine, along = np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN), np.empty(PIXEL_RUN)
     color = np.empty((3, PIXEL_RUN))
     for begin in range(first, last, PIXEL_RUN):
@@ -214,14 +235,14 @@ def _sky(first, last, rows, cols, pixels, focal, up, level, sky, out):
         sky_colors(sky, sine[:count], along[:count], color[:, :count])
         for k in range(3):
             for n in range(count):
-                # sRGB is about the root of linear light: a step of 255 is twice that root over 255.
+                # sRGB is about the root of linear light, so that a step of 1/255 is twice that root over 255.
                 own = color[k, n]
                 moved = own + gradient_noise(px[n] + 37.0 * k, py[n] + 17.0 * k) * 2.1 / 255.0 * np.sqrt(own)
                 out[begin + n, k] = min(max(moved, 0.0), 1.0)
 
 
 def _sunlight_color(altitude_deg: float) -> np.ndarray:
-    """What the air leaves of white sunlight (3,), as far as it colours the sky's foot."""
+    """Return the colour (3,) of white sunlight after its path through the air, as far as it colours the foot of the sky."""
     altitude = max(altitude_deg, 0.0)
     mass = 1.0 / (np.sin(np.radians(altitude)) + 0.50572 * (altitude + 6.07995) ** -1.6364)
     return np.exp(-SCATTERED_ONCE * min(mass, MOST_AIR_MASS) * np.array(AIR_DEPTH))

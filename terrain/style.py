@@ -1,19 +1,19 @@
-"""Styles: the colours and the light of shaded relief. A style changes how a picture looks, never where a shadow falls.
+"""Styles: colours and light of shaded relief. A style changes a picture's appearance, never the shadows' positions.
 
-**Tint.** The ground's colour goes by its height in metres, in ``natural`` also by its latitude (``skugga.terrain.climate``), the
-same in every level: two maps side by side agree. Lightness (CIE L*) never falls with height, so that higher ground is lighter
-ground.
+**Tint.** The ground's colour depends on its height in metres, in ``natural`` also on its latitude (``skugga.terrain.climate``). It
+is the same in every level, so that two maps side by side agree. Lightness (CIE L*) never falls with height: higher ground is
+lighter.
 
-**Light.** Direct sunlight is warm and skylight blue, as outdoors. In the sky's light alone, colours lose some of their saturation,
-so that shadows are bluish and not a dark shade of the ground's own colour (E. Imhof, Cartographic Relief Presentation, 1965,
-chapters 9 and 13). A clear sky is brighter on the sun's side: slopes in shadow that face it get more of its light than others,
-which keeps relief readable inside of a cast shadow.
+**Light.** Direct sunlight is warm and sky light blue, as outdoors. In sky light alone, colours lose some of their saturation.
+Shadows are then bluish instead of a dark shade of the ground's own colour (E. Imhof, Cartographic Relief Presentation, 1965,
+chapters 9 and 13). A clear sky is brighter on the sun's side. Slopes in shadow that face it get more of its light than others,
+which keeps relief readable inside a cast shadow.
 
-**Aerial perspective.** Contrast grows with height: low ground lies under a thin veil of air (Imhof, chapter 13). In maps alone; in
-a perspective view the air lies between the eye and the ground (``skugga.terrain.effects.haze``).
+**Aerial perspective.** Contrast grows with height: low ground lies under a thin veil of air (Imhof, chapter 13). This applies to
+maps only. In a perspective view the air lies between the eye and the ground (``skugga.terrain.effects.haze``).
 
-**Slopes.** Shading may exaggerate slopes for flat country, or limit them, where the edges of buildings are slopes of a raster and
-would be drawn as black and white rims. Cast shadows go by the true ground in both cases.
+**Slopes.** Shading may exaggerate slopes for flat country. It may also limit them, since the edges of buildings are slopes of a
+raster and would show as black and white rims. Cast shadows use the true ground in both cases.
 """
 
 from __future__ import annotations
@@ -32,50 +32,55 @@ from skugga.terrain.level.parts import StyleSpec
 from skugga.terrain.srgb import linear_of_srgb
 
 TINT_LOW_M, TINT_STEP_M, TINT_COUNT = -512.0, 8.0, 1193
-"""Heights at which a ramp is tabulated: -512 to 9,024 m. Beyond them its colours stay as they are."""
+"""Heights at which a ramp is tabulated: -512 to 9,024 m. Beyond them its colours are constant."""
 
 FINE_CELL_M = 2.5
-"""Ground of smaller cells, unless it is a wood, is taken to be a city's surface."""
+"""Ground with smaller cells counts as a city's surface, unless it is a wood."""
 
 WOOD_SHARE = 0.25
-"""Share of the ground under crowns from which on it is a wood: canopy rasters give 0.02 in Gothenburg, 0.09 in Bilbao, and 0.34 in
-a wood in Quebec, whose crowns stand apart.
+"""Share of the ground under crowns from which on it counts as a wood.
+
+Canopy rasters give 0.02 in Gothenburg, 0.09 in Bilbao, and 0.34 in an open wood in Quebec.
 """
 
 EXAGGERATION_POWER, MOST_EXAGGERATION = 0.25, 3.0
-"""How slopes grow with the side of a map's pixels beyond ``exaggerates_from_m``, and by how much at the most."""
+"""Power by which slopes grow with a map's pixel size beyond ``exaggerates_from_m``, and the maximum factor."""
 
 NO_SLOPE_LIMIT = 1e3
-"""A limit of slopes that limits none."""
+"""A slope limit without effect."""
 
 
 @dataclass(frozen=True)
 class Style:
-    """How relief is shaded.
+    """The parameters of shaded relief.
 
     Attributes
     ----------
+    name
+        The style's name.
+    about
+        A description in one phrase.
     ramp
-        Heights, metres above the level's zero, rising, and the sRGB colour of the ground there.
+        Heights in metres above the level's zero, ascending, and the ground's sRGB colour at each.
     has_climate
-        Whether the ramp is that of middle latitudes, and others have ice, tundra and deserts.
+        Whether the ramp is that of middle latitudes, so that other latitudes get ice, tundra and deserts.
     water
         Linear albedo (3,) of standing water in a map.
     sunlight, skylight
-        Linear colours (3,) of direct light and of the sky's.
+        Linear colours (3,) of direct light and of the sky's light.
     sky_greying
-        How far colours go towards grey of the same luminance in the sky's light, 0 to 1.
+        Desaturation in the sky's light towards grey of the same luminance, 0 to 1.
     sky_towards_sun
-        How much of the sky's light comes from the sun's side, 0 to 1.
+        Share of the sky's light that comes from the sun's side, 0 to 1.
     terminator
-        Share of the direct light of level ground below which slopes go softly over into attached shadow; 0: Lambert's law alone.
+        Share of level ground's direct light below which slopes fade into attached shadow; 0: Lambert's law alone.
     aerial, aerial_m
-        Share of the veil at the height 0, and the height above it over which this falls to 1/e.
+        Share of the veil at height 0, and the height in metres over which it falls to 1/e.
     slope_exaggeration, slope_limit
-        Factor of slopes in shading, and the slope (a tangent) that they approach then.
+        Factor of slopes in shading, and the slope (a tangent) that they approach.
     exaggerates_from_m
-        Side of a map's pixels, metres, from which on slopes are exaggerated more: those of a country's map are means over whole
-        valleys, and too gentle to be seen.
+        Side of a map's pixels in metres from which on slopes are exaggerated more. Pixels of a country's map are means over whole
+        valleys, whose slopes are too gentle to see.
     """
 
     name: str
@@ -95,7 +100,7 @@ class Style:
     exaggerates_from_m: float = 60.0
 
     def slope_exaggeration_at(self, pixel_m: float) -> float:
-        """Factor of slopes in a map with pixels of a side, metres."""
+        """Return the factor of slopes in a map with pixels of a side in metres."""
         coarse = (pixel_m / self.exaggerates_from_m) ** EXAGGERATION_POWER
         return self.slope_exaggeration * float(np.clip(coarse, 1.0, MOST_EXAGGERATION))
 
@@ -134,12 +139,13 @@ STYLES = {
         ),
     )
 }  # fmt: skip
-"""The named styles."""
 
 
 def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_share: Callable[[], float]) -> Style:
-    """The style that is asked for; ``auto`` is ``urban`` on a raster of fine cells or upright blocks, unless it is a wood by the
-    share of the ground under crowns, and else ``natural``.
+    """Return the requested style with the level's ramp and exaggeration.
+
+    ``auto`` is ``urban`` on a raster with fine cells or upright blocks, unless it is a wood by the share of ground under crowns.
+    Otherwise it is ``natural``.
     """
     name = spec.name
     if name == "auto":
@@ -152,7 +158,7 @@ def style_of(level: Level, spec: StyleSpec, cell_m: float, crown_share: Callable
 
 
 def styled(own: StyleSpec, name: str | None, slope_exaggeration: float | None) -> StyleSpec:
-    """A level's style with what a request asks of it (``None`` asks for nothing). Raises ``InputError``."""
+    """Return a level's style with a request's changes (``None``: no change). Raises ``InputError``."""
     changes = {"name": name, "slope_exaggeration": slope_exaggeration}
     changes = {key: value for key, value in changes.items() if value is not None}
     try:
@@ -166,8 +172,10 @@ def styled(own: StyleSpec, name: str | None, slope_exaggeration: float | None) -
 
 @cached("process", 16 * MIB)
 def tint_table(ramp: Ramp, has_climate: bool = False) -> np.ndarray:
-    """Linear colours (m, n, 3) of ground at ``LATITUDES`` steps of the latitude's sine (m = 1: one for all latitudes), and at the
-    heights ``TINT_LOW_M + k * TINT_STEP_M``; between a ramp's heights mixed in sRGB.
+    """Return the ground's linear colours (m, n, 3) by latitude and height.
+
+    Latitudes are ``LATITUDES`` steps of the latitude's sine (m = 1: one row for all). Heights are ``TINT_LOW_M + k * TINT_STEP_M``.
+    Colours between a ramp's heights are mixed in sRGB.
     """
     heights = TINT_LOW_M + TINT_STEP_M * np.arange(TINT_COUNT)
     return linear_of_srgb(climate_srgb(ramp, heights) if has_climate else ramp_srgb(ramp, heights)[None])
@@ -175,6 +183,6 @@ def tint_table(ramp: Ramp, has_climate: bool = False) -> np.ndarray:
 
 @cached("process", MIB)
 def veil_table(share: float, falls_over_m: float) -> np.ndarray:
-    """Share (n,) of the veil of air at the heights of ``tint_table``: ``share`` at 0 and below."""
+    """Return the share (n,) of the veil of air at the heights of ``tint_table``. It is ``share`` at 0 and below."""
     heights = TINT_LOW_M + TINT_STEP_M * np.arange(TINT_COUNT)
     return share * np.exp(-np.maximum(heights, 0.0) / falls_over_m)

@@ -1,4 +1,4 @@
-"""Where what outlives a process is kept for a user."""
+"""The user's cache folder on disk."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ import numpy as np
 
 
 def user_cache(name: str) -> Path:
-    """A folder of the user's cache (``XDG_CACHE_HOME``, else ``~/.cache``), which may not be there and not be possible to make."""
+    """Return a folder of the user's cache (``XDG_CACHE_HOME``, else ``~/.cache``).
+
+    The folder may not exist, and may be impossible to create.
+    """
     return Path(os.environ.get("XDG_CACHE_HOME") or _home() / ".cache") / "skugga" / name
 
 
 def arrays_kept_in(path: Path) -> dict[str, np.ndarray] | None:
-    """The arrays of an ``.npz`` file by their names; ``None`` where it is absent or damaged."""
+    """Return the arrays of an ``.npz`` file by name; ``None`` if the file is missing or damaged."""
     absent_or_damaged = OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile
     with suppress(*absent_or_damaged), path.open("rb") as file, np.load(file) as stored:
         return {name: stored[name] for name in stored.files}
@@ -24,7 +27,7 @@ def arrays_kept_in(path: Path) -> dict[str, np.ndarray] | None:
 
 
 def _home() -> Path:
-    """The user's home. A user that the system does not know, as in a container, has none."""
+    """Return the user's home folder. A user unknown to the system, as in a container, has none."""
     try:
         return Path.home()
     except RuntimeError:

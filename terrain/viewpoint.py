@@ -1,15 +1,14 @@
-"""Where to look at a level from: a perspective view as a person would choose it, found by trying many.
+"""Find a good viewpoint: a perspective view as a person would choose it, by scoring many candidates.
 
-A view is tried on a lattice of the level's heights: rays through some pixels are followed to the ground that they meet. It is the
-better
+A candidate is scored on a lattice of the level's heights. Rays through some pixels are followed to the ground. The score rises with
 
-* the more light and shadow there is in its picture: the spread, over its pixels, of how brightly the ground is lit;
-* the more the ground rises and falls, measured against its distance;
-* the more the sun stands to one side, so that shadows are seen along their length;
-* the wider it is: the farther off the ground usually lies, with none right in front of the eye;
-* and the fewer rays miss the ground: sky, holes and the raster's edge count against it by far.
+* the contrast of light and shadow: the standard deviation of the ground's brightness over the picture;
+* the relief: the standard deviation of the ground's heights over its distance;
+* the angle between the view and the sun's azimuth: shadows are best seen from the side;
+* the view's width: the distance of most ground, with no ground right in front of the eye;
+* the share of rays that meet the ground, by a high power: sky, holes and the raster's edge count against a view.
 
-What stands on the ground is left out: it does not decide from where a landscape is looked at.
+Objects on the ground are ignored. They do not decide a landscape's viewpoint.
 """
 
 from __future__ import annotations
@@ -28,49 +27,61 @@ VIEWED_NODES = 257
 """Nodes of the lattice along its longer side."""
 
 WIDEST_VIEWED_M, WIDEST_VIEWED_CELLS = 60_000.0, 240.0
-"""Longest side of the part of a level that is looked at, beyond which air takes what is seen; or so many cells, if that is more:
-with fewer the picture is one of cells.
+"""Longest side of the part of a level that is searched, in metres or in cells, whichever is longer.
+
+Beyond that distance air hides the ground. With fewer cells the picture would show single cells.
 """
 
 FOV_DEG, ASPECT = 40.0, 1.25
-"""Vertical field of view, and the picture's width over its height."""
+"""Vertical field of view, and the picture's ratio of width to height."""
 
 EYES = 12
-"""Places tried along either side, ..."""
+"""Candidate positions along either side."""
 
 AZIMUTHS = 16
+"""Candidate directions at each position."""
 PITCHES_DEG = (14.0, 20.0, 26.0, 33.0)
-"""... directions at each, and how far down from the horizon, ..."""
+"""Candidate angles below the horizon."""
 
 HEIGHT_SHARES = (0.1, 0.15, 0.22)
-"""... heights of the eye above the ground, as shares of the shorter side, ..."""
+"""Candidate heights of the eye above the ground, as shares of the shorter side."""
 
 LEAST_HEIGHT_CELLS = 12.0
-"""... but so many cells at least: seen from nearer, the ground has no detail."""
+"""Minimum height of the eye in cells. From nearer, the ground shows no detail."""
 
 RAYS = (9, 11)
-"""Rays of a tried picture: rows and columns."""
+"""Rows and columns of rays per candidate."""
 
 FILLED_POWER = 40.0
-"""Power of the share of rays that meet ground in a view's worth: at a fiftieth of sky it is less than half."""
+"""Power of the share of rays that meet ground in the score. With a fiftieth of sky the factor is less than a half."""
 
 WIDE_SHARE = 0.6
-"""Usual distance of the ground that is seen, as a share of the level's shorter side, from which a view counts as wide."""
+"""Median distance of the visible ground from which on a view counts as wide, as a share of the level's shorter side."""
 
 FREE_SHARE = 1.2
-"""Distance of the nearest ground, in heights of the eye above it, from which nothing stands in the way."""
+"""Distance of the nearest ground from which on the foreground counts as free, in heights of the eye above ground."""
 
 RELIEF_SHARE = 0.6
-"""Weight of relief against that of light and shadow."""
+"""Weight of relief relative to that of light and shadow."""
 
 SIDE_SHARE = 0.6
-"""How much of a view's worth hangs on the sun's standing to one side."""
+"""Share of the score that depends on the angle to the sun's azimuth."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Lattice:
-    """Heights (rows, cols) float64 in metres, NaN without ground, on nodes ``step_m`` apart, the first in the north-west; how
-    brightly each is lit, 0 to 1; earth-fixed points (rows, cols, 3) of height 0.
+    """A lattice of the level's ground, northern row first.
+
+    Attributes
+    ----------
+    height_m
+        (rows, cols) float64, heights in metres; NaN without ground.
+    light
+        (rows, cols), brightness of each node, 0 to 1.
+    step_m
+        Distance between nodes in metres.
+    points_earth_m
+        (rows, cols, 3), earth-fixed points of height 0.
     """
 
     height_m: np.ndarray
@@ -80,7 +91,10 @@ class _Lattice:
 
 
 def good_view(world: World, elevation: Elevation, sun: Sun | None) -> PerspectiveSpec | None:
-    """A perspective view of a level under its sun (``None``: lit from above); ``None`` where the ground fills none."""
+    """Return a good perspective view of a level under its sun (``None``: lit from above).
+
+    Returns ``None`` where the ground fills no view.
+    """
     lattice = _lattice(world, elevation, sun)
     rows, cols = lattice.height_m.shape
     short_m = (min(rows, cols) - 1) * lattice.step_m
@@ -108,7 +122,10 @@ def good_view(world: World, elevation: Elevation, sun: Sun | None) -> Perspectiv
 
 
 def _places(world: World, elevation: Elevation, points_earth_m: np.ndarray) -> list[tuple[float, float]]:
-    """Places as level files state them: degrees, or metres from the anchor in a flat world; written to a tenth of a cell."""
+    """Return positions in the coordinates of level files: degrees, or metres from the anchor in a flat world.
+
+    Rounded to a tenth of a cell.
+    """
     if world.flat:
         return [(round(float(east), 2), round(float(north), 2)) for east, north, _ in points_earth_m]
     cell_deg = elevation.cell_size_m(world.metres_per_unit) / 111_320.0
@@ -118,7 +135,7 @@ def _places(world: World, elevation: Elevation, points_earth_m: np.ndarray) -> l
 
 
 def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
-    """The level's heights, or those of its most rugged part where it is wider than what is looked at."""
+    """Return the lattice of the level, or of its most rugged part where the level is wider than the searched part."""
     cell_m = elevation.cell_size_m(world.metres_per_unit)
     widest_m = max(WIDEST_VIEWED_M, WIDEST_VIEWED_CELLS * cell_m)
     row, col = (elevation.rows - 1) / 2, (elevation.cols - 1) / 2
@@ -148,8 +165,9 @@ def _lattice(world: World, elevation: Elevation, sun: Sun | None) -> _Lattice:
 
 
 def _most_rugged(world: World, elevation: Elevation, sun: Sun | None, cells: float) -> tuple[float, float]:
-    """Row and column of the middle of the square of so many cells a side with the most relief, from the overview; where the sun
-    stands lower than at the anchor, relief counts for less.
+    """Return the row and column of the centre of the most rugged square with a side of some cells, from the overview.
+
+    Relief counts for less where the sun stands lower than at the anchor.
     """
     from scipy.ndimage import uniform_filter
 
@@ -171,7 +189,7 @@ def _most_rugged(world: World, elevation: Elevation, sun: Sun | None, cells: flo
 
 
 def _light(height_m: np.ndarray, step_m: float, to_sun: np.ndarray) -> np.ndarray:
-    """How brightly nodes are lit (rows, cols): the cosine of incidence, 0 in shadow."""
+    """Return the brightness of nodes (rows, cols): the cosine of incidence, 0 in shadow."""
     if min(height_m.shape) < 2 or to_sun[2] <= 0.0:
         return np.zeros_like(height_m)
     south, east = np.gradient(height_m, step_m)
@@ -181,7 +199,7 @@ def _light(height_m: np.ndarray, step_m: float, to_sun: np.ndarray) -> np.ndarra
 
 @compiled
 def _hit(height_m, step_m, row, col, z_m, east, north, up):
-    """Where a ray meets the ground: its distance along the level (metres), row and column; NaN where it does not."""
+    """Return the intersection of a ray with the ground: its horizontal distance in metres, row and column; NaN without one."""
     rows, cols = height_m.shape
     along = np.sqrt(east**2 + north**2)
     d_row, d_col, rise = -north / along / step_m, east / along / step_m, up / along
@@ -201,7 +219,7 @@ def _hit(height_m, step_m, row, col, z_m, east, north, up):
 
 @compiled
 def _sees(height_m, step_m, east, north, up):
-    """Which nodes a far light in a direction reaches past the others (bool)."""
+    """Return the mask (bool) of nodes that a distant light in a direction reaches past the other nodes."""
     rows, cols = height_m.shape
     out = np.zeros(height_m.shape, np.bool_)
     for i in range(rows):
@@ -214,7 +232,7 @@ def _sees(height_m, step_m, east, north, up):
 
 @compiled
 def _worth(height_m, light, step_m, eyes, eye_heights_m, azimuths, pitches, sun_azimuth):
-    """What each view is worth: (eyes, heights, azimuths, pitches), 0 for none."""
+    """Return the score of each candidate (eyes, heights, azimuths, pitches); 0 for an unusable one."""
     rows, cols = RAYS
     tall = np.tan(np.radians(FOV_DEG) / 2.0)
     out = np.zeros((len(eyes), len(eye_heights_m), len(azimuths), len(pitches)))

@@ -1,6 +1,6 @@
-"""Files that are written whole or not at all: beside the place where they shall lie, and moved there when they are complete.
+"""Atomic writes: a file is written in a temporary folder beside its target and moved there when it is complete.
 
-A disk that fills up, an error or an interrupt leaves what lay there before, and nothing beside it.
+A full disk, an error or an interrupt leaves the previous file in place and no temporary file behind.
 """
 
 from __future__ import annotations
@@ -17,28 +17,33 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _NAME_LENGTH = 60
-"""Characters of a file's name that the folder beside it takes over: names have 255 bytes at most."""
+"""Characters of a file's name in its temporary folder's name. Names have at most 255 bytes."""
 
 _PROBE_BYTES = 2**20
-"""Size of the file by which ``disk_error`` looks for room: more than the buffers of the libraries whose writes it explains."""
+"""Size of the file with which ``disk_error`` tests for free space.
+
+Larger than the buffers of the libraries whose errors it explains.
+"""
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write bytes, or text as UTF-8 with its line ends as they are. Raises ``OSError`` with the path."""
+    """Write bytes, or text as UTF-8 with unchanged line ends, atomically. Raises ``OSError`` with the path."""
     with replaced_whole(path) as part, part.open("wb") as file:
         file.write(content.encode("utf-8") if isinstance(content, str) else content)
 
 
 @contextmanager
 def replaced_whole(path: Path) -> Iterator[Path]:
-    """Where to write what shall become the file ``path``: a place of the same name in a folder beside it, for this alone.
+    """Yield a temporary path whose file replaces ``path`` atomically when the block ends.
 
-    When the block has ended the file there is synced to the disk and takes its place, with the rights of the one that it replaces.
-    A link stays, and what it leads to is replaced. What is no regular file (a pipe, ``/dev/stdout``) is written into.
-    Raises ``OSError`` with the path: also where the block raises one, or has written no file.
+    The temporary file has the same name, in a folder of its own beside the target. When the block ends it is synced to the disk and
+    takes the target's place and permissions. A symbolic link stays; the file that it points to is replaced. A target that is no
+    regular file (a pipe, ``/dev/stdout``) is written into.
+
+    Raises ``OSError`` with the path, also where the block raises one or writes no file.
     """
     target = path.resolve()
-    # Named before it is made, so that an interrupt at any moment finds what to remove.
+    # Named before it is created, so that an interrupt at any moment finds the folder to remove.
     beside = f"{_beside(target)}{secrets.token_hex(4)}"
     folder = target.parent / beside
     try:
@@ -57,7 +62,7 @@ def replaced_whole(path: Path) -> Iterator[Path]:
         if mode is not None:
             part.chmod(stat.S_IMODE(mode))
         os.replace(part, target)
-        with suppress(OSError):  # a folder that may not be read: the file is there
+        with suppress(OSError):  # the folder may be unreadable; the file is in place
             _sync(target.parent)
     except OSError as error:
         if error.filename is not None and beside not in str(error.filename) and Path(str(error.filename)) != target:
@@ -70,10 +75,11 @@ def replaced_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replaced_together(folder: Path) -> Iterator[Path]:
-    """Where to write files that shall lie in ``folder`` together: a folder for this alone, in it, or beside where it shall be.
+    """Yield a temporary folder whose files replace those in ``folder`` together when the block ends.
 
-    When the block has ended the files are synced to the disk and take their places, all of them or none. ``folder`` itself is made
-    if need be. Raises ``OSError`` with the path: also where the block raises one.
+    When the block ends the files are synced to the disk and moved, either all of them or none. ``folder`` is created if it does not
+    exist; the temporary folder is in it, or beside it if it is new. Raises ``OSError`` with the path, also where the block raises
+    one.
     """
     target = folder.resolve()
     beside = f"{_beside(target)}{secrets.token_hex(4)}"
@@ -88,7 +94,7 @@ def replaced_together(folder: Path) -> Iterator[Path]:
             os.replace(part, target)
         else:
             _move_all(part, target)
-        with suppress(OSError):  # a folder that may not be read: the files are there
+        with suppress(OSError):  # the folder may be unreadable; the files are in place
             _sync(target)
     except OSError as error:
         if error.filename is not None and beside not in str(error.filename):
@@ -100,7 +106,7 @@ def replaced_together(folder: Path) -> Iterator[Path]:
 
 
 def _move_all(part: Path, target: Path) -> None:
-    """Move all files of a folder into another one on the same disk, or none of them: those of before are kept until it is done."""
+    """Move all files of a folder into another one on the same disk, or none. Replaced files are backed up until all are moved."""
     kept = part / ".before"
     moved: list[Path] = []
     names = sorted(path.name for path in part.iterdir())
@@ -125,21 +131,22 @@ def _move_all(part: Path, target: Path) -> None:
 def _remove(folder: Path) -> None:
     try:
         shutil.rmtree(folder, ignore_errors=True)
-    except BaseException:  # an interrupt just now
+    except BaseException:  # an interrupt while it runs
         shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
 def forget_halves(path: Path) -> None:
-    """Delete what processes left that were killed while they wrote a file. Nobody may be writing it now."""
+    """Delete the partial files that killed processes left while they wrote a file. No process may be writing it."""
     target = path.resolve()
     for folder in target.parent.glob(f"{glob.escape(_beside(target))}????????"):
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def disk_error(path: Path, size: int = _PROBE_BYTES) -> OSError | None:
-    """Return the error that writing ``size`` bytes beside ``path`` meets now, or ``None``: libraries tell that a write failed, and
-    not why.
+    """Return the error of writing ``size`` bytes beside ``path`` now, or ``None``.
+
+    Libraries report that a write failed, but not why.
     """
     probe = path.parent / f"{_beside(path)}{secrets.token_hex(4)}"
     try:
@@ -157,18 +164,18 @@ def disk_error(path: Path, size: int = _PROBE_BYTES) -> OSError | None:
 
 
 def write_error(path: Path, what: str, error: Exception) -> OSError:
-    """Return why ``what`` could not be written to ``path``: as the disk says it, or as the library does if the disk takes files."""
+    """Return the error of a failed write of ``what`` to ``path``: the disk's own error, else the library's."""
     refused = disk_error(path)
-    return refused or OSError(errno.EIO, f"{what} could not be written whole ({error.__cause__ or error})", str(path))
+    return refused or OSError(errno.EIO, f"{what} could not be written completely ({error.__cause__ or error})", str(path))
 
 
 def _beside(target: Path) -> str:
-    """What the names of folders begin with in which a file is written."""
+    """Return the prefix of the names of a file's temporary folders."""
     return f".{target.name[:_NAME_LENGTH]}."
 
 
 def _writable_mode(target: Path) -> int | None:
-    """The mode of a file that may be written; ``None`` where there is none. Raises ``OSError``."""
+    """Return the mode of a writable file; ``None`` if it does not exist. Raises ``OSError``."""
     try:
         mode = target.stat().st_mode
     except FileNotFoundError:
@@ -181,12 +188,12 @@ def _writable_mode(target: Path) -> int | None:
 
 
 def _sync(path: Path) -> None:
-    """Wait until a file, or a folder's names, are on the disk: some disks tell only then that they are full."""
+    """Sync a file, or a folder's entries, to the disk. Some disks report only then that they are full."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems that know no sync
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems without sync
             raise
     finally:
         os.close(descriptor)

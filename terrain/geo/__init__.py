@@ -1,1 +1,1 @@
-"""Where things are: earth-fixed space and local frames, map grids, cameras, the sun and its light space, vector files."""
+"""Positions: earth-fixed space and local frames, map grids, cameras, the sun and its light space, vector files."""

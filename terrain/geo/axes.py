@@ -1,9 +1,8 @@
-"""The axes of a CRS: coordinates as GDAL orders them, and as Skugga computes, x to the east and y to the north.
+"""The axes of a CRS: coordinates in GDAL's order, and x to the east and y to the north as Skugga computes.
 
-GDAL and ``pyproj`` (``always_xy``) put easting before northing, and longitude before latitude. They leave alone axes that run to
-the south or west, as Krovak's, and angles in grads. Inside of Skugga angles are degrees, and axes along the compass's directions
-run east and north: no map is mirrored then. Axes along meridians (polar maps) and of rotated poles stay as they are, since no map
-in them is mirrored.
+GDAL and ``pyproj`` (``always_xy``) put easting before northing and longitude before latitude. They do not change axes that run
+south or west, such as Krovak's, nor angles in grads. Skugga computes in degrees, and with axes that run east and north, so that no
+map is mirrored. Axes along meridians (polar maps) and axes of rotated poles stay unchanged, since no map in them is mirrored.
 """
 
 from __future__ import annotations
@@ -15,24 +14,24 @@ from affine import Affine
 from pyproj import CRS
 
 from skugga.terrain.cache import MIB, IdentityKey, cached
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 
 _COMPASS = {"east": (True, 1.0), "west": (True, -1.0), "north": (False, 1.0), "south": (False, -1.0)}
-"""By direction: whether an axis runs along parallels, and its sign."""
+"""For each direction: whether an axis runs along parallels, and its sign."""
 
 Bounds = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class Axes:
-    """How GDAL's first and second coordinate become x and y.
+    """The mapping of GDAL's first and second coordinate to x and y.
 
     Attributes
     ----------
     swapped
         Whether GDAL's first coordinate is y.
     x_scale, y_scale
-        Degrees in the CRS's unit of angles, 1 of lengths; below 0 where the axis runs west or south.
+        Degrees per unit of an angle, or 1 for lengths; negative where the axis runs west or south.
     """
 
     swapped: bool = False
@@ -46,25 +45,25 @@ class Axes:
 
     @property
     def affine(self) -> Affine:
-        """x and y of GDAL's coordinates."""
+        """The affine transformation from GDAL's coordinates to x and y."""
         return Affine(0, self.x_scale, 0, self.y_scale, 0, 0) if self.swapped else Affine.scale(self.x_scale, self.y_scale)
 
     def xy(self, first: float | np.ndarray, second: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """x and y of GDAL's coordinates."""
+        """Return x and y of GDAL's coordinates."""
         x, y = (second, first) if self.swapped else (first, second)
         return np.asarray(x) * self.x_scale, np.asarray(y) * self.y_scale
 
     def stored(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """GDAL's coordinates of x and y."""
+        """Return GDAL's coordinates of x and y."""
         x, y = np.asarray(x) / self.x_scale, np.asarray(y) / self.y_scale
         return (y, x) if self.swapped else (x, y)
 
     def bounds_xy(self, bounds: Bounds) -> Bounds:
-        """West, south, east, north of the least and greatest of GDAL's coordinates."""
+        """Return west, south, east, north of bounds in GDAL's coordinates (minima, then maxima)."""
         return _ordered(*self.xy(np.array(bounds[::2]), np.array(bounds[1::2])))
 
     def bounds_stored(self, bounds: Bounds) -> Bounds:
-        """The least of GDAL's coordinates, and the greatest, of west, south, east, north."""
+        """Return bounds in GDAL's coordinates (minima, then maxima) of west, south, east, north."""
         return _ordered(*self.stored(np.array(bounds[::2]), np.array(bounds[1::2])))
 
 
@@ -74,7 +73,7 @@ def _ordered(first: np.ndarray, second: np.ndarray) -> Bounds:
 
 @cached("process", MIB, key=lambda crs: (IdentityKey(crs),), size_of=lambda _: 256)
 def axes_of(crs: CRS) -> Axes:
-    """The axes of a CRS, by their directions and unit."""
+    """Return the axes of a CRS, by their directions and unit."""
     axes = crs.axis_info[:2]
     directions = [(axis.direction or "").lower() for axis in axes]
     if len(axes) != 2 or not all(direction in _COMPASS for direction in directions):
@@ -92,11 +91,12 @@ def axes_of(crs: CRS) -> Axes:
 
 
 def check_axes(name: str, crs: CRS) -> None:
-    """Raise ``InputError`` for a CRS in which no map can be asked for: one whose coordinates are not x to the east and y to the
-    north, in degrees or in a unit of length.
+    """Raise ``InputError`` for a CRS that cannot be the CRS of a map.
+
+    Its coordinates must be x to the east and y to the north, in degrees or in a unit of length.
     """
     if axes_of(crs).are_standard:
         return
     first, second = crs.axis_info[:2]
-    found = f"{crs.name}: its axes run {first.direction} and {second.direction}, in the unit {first.unit_name}"
-    raise InputError(name, found, "a CRS whose axes run east and north, in degrees or a unit of length")
+    found = f"the axes of '{crs.name}' run {first.direction} and {second.direction}, in the unit {first.unit_name}"
+    raise InputError(name, Problem(found), "Use a CRS whose axes run east and north, in degrees or a unit of length")

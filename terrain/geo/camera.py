@@ -1,8 +1,8 @@
-"""Perspective views: a pinhole camera on the earth, its pixels' rays, and views cut from or laid between its pixels.
+"""Perspective views: a pinhole camera on the earth, the rays of its pixels, and parts and refinements of views.
 
 Camera axes are right, down and forward. The ray of pixel (i, j) has the direction ``((col0 + j * step) / focal_px,
-(row0 + i * step) / focal_px, 1)``, so that a part of a picture, a shift by pixels and a finer picture are the same camera
-with other numbers: rays that two of them share are the same rays.
+(row0 + i * step) / focal_px, 1)``. A part of a picture, a shift by pixels and a finer picture are therefore the same camera with
+other numbers. Rays that two of them share are identical.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.world import LocalFrame, World
 
 FRAME_SHARE = 1 / 16
-"""Pitch of the frames of perspective views as a share of the maps': what is near the eye keeps float32 steps under 0.1 mm."""
+"""Pitch of the frames of perspective views as a share of the maps' pitch: near the eye float32 steps stay below 0.1 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,17 +25,19 @@ class PerspectiveView:
     Attributes
     ----------
     eye_earth_m
-        float64 (3,).
+        float64 (3,), the earth-fixed eye in metres.
     earth_from_camera
         float64 (3, 3), columns right, down and forward.
     focal_px
-        Pixels per unit of tangent, for a step of one.
+        Focal length: pixels per unit of tangent, for a step of one.
     row0, col0
         Offset of the first pixel's centre from the principal point, in pixels.
     step
-        Distance of neighbouring pixels; 1 but for finer views, and those of every n-th pixel.
+        Distance of neighbouring pixels. It is 1 except in finer views and in views of every n-th pixel.
+    rows, cols
+        Size in pixels.
     pixel_share
-        A pixel's side as a share of that distance; 1 but in views of every n-th pixel.
+        A pixel's side as a share of ``step``. It is 1 except in views of every n-th pixel.
     """
 
     eye_earth_m: np.ndarray
@@ -50,54 +52,54 @@ class PerspectiveView:
 
     @property
     def numbers(self) -> tuple[object, ...]:
-        """All that a view is, to compare by: equal views have equal ones."""
+        """All parameters as a hashable tuple: equal views have equal tuples."""
         eye, axes = self.eye_earth_m.tobytes(), self.earth_from_camera.tobytes()
         return eye, axes, self.focal_px, self.row0, self.col0, self.step, self.rows, self.cols, self.pixel_share
 
     @property
     def pixel(self) -> float:
-        """A pixel's side as a tangent, at the middle of the picture."""
+        """The side of a pixel as a tangent, at the centre of the picture."""
         return self.pixel_share * self.step / self.focal_px
 
     def part(self, row: int, col: int, rows: int, cols: int) -> PerspectiveView:
-        """The view of some of the pixels; the offsets may be negative."""
+        """Return the view of some of the pixels. The offsets may be negative."""
         return replace(self, row0=self.row0 + row * self.step, col0=self.col0 + col * self.step, rows=rows, cols=cols)
 
     def shifted(self, rows: float, cols: float) -> PerspectiveView:
-        """The view whose pixel centres lie a share of pixels further down and to the right."""
+        """Return the view with all pixel centres moved down and to the right by fractions of a pixel."""
         side = self.pixel_share * self.step
         return replace(self, row0=self.row0 + rows * side, col0=self.col0 + cols * side)
 
     def finer(self, side: int) -> PerspectiveView:
-        """The view with ``side`` x ``side`` pixels regularly inside each of this one's."""
+        """Return the view with ``side`` x ``side`` evenly spaced pixels in each pixel."""
         first = (1.0 / side - 1.0) / 2.0
         fine = self.shifted(first, first)
         return replace(fine, step=self.step / side, rows=self.rows * side, cols=self.cols * side)
 
     def in_frame(self, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
-        """The eye (3,) in a frame and the rotation (3, 3) from the frame to the camera."""
+        """Return the eye (3,) in a frame, in metres, and the rotation (3, 3) from the frame to the camera."""
         return (
             frame.points_from_earth(self.eye_earth_m),
             self.earth_from_camera.T @ frame.frame_from_earth.T,
         )
 
     def frame(self, world: World) -> LocalFrame:
-        """The frame of the lattice near the eye."""
+        """Return the lattice's frame nearest to the eye."""
         return world.frame_near_earth(self.eye_earth_m, FRAME_SHARE)
 
 
 def look_at(
     eye_earth_m: np.ndarray, target_earth_m: np.ndarray, up_earth: np.ndarray, fov_deg: float, rows: int, cols: int
 ) -> PerspectiveView:
-    """The camera at an eye that looks at a target, upright; ``fov_deg`` is the vertical field of view.
+    """Return the upright camera at an eye that looks at a target.
 
-    Looking straight up or down, the picture's top is towards earth-fixed north (the y axis of a flat world).
-    Raises ``InputError`` if eye and target are one point.
+    ``fov_deg`` is the vertical field of view. If the view is straight up or down, the picture's top points to earth-fixed north
+    (the y axis of a flat world). Raises ``InputError`` if eye and target are one point.
     """
     forward = target_earth_m - eye_earth_m
     distance = float(np.linalg.norm(forward))
     if not distance > 1e-6:
-        raise InputError("target", "the eye itself", "a point other than the eye")
+        raise InputError("target", Problem("coincides with the eye"), "Give a point other than the eye")
     forward = forward / distance
     right = np.cross(forward, up_earth)
     if np.linalg.norm(right) < 1e-9:

@@ -1,4 +1,4 @@
-"""Dates, and the clocks that days and times of day are told by."""
+"""Clocks and calendar dates: time zones, UTC offsets and true solar time."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
 from typing import Literal
 from zoneinfo import ZoneInfo, available_timezones
 
-from skugga.terrain.errors import Problem, InputError
+from skugga.terrain.errors import InputError
 
 Clock = tzinfo | Literal["solar"]
-"""A zone, or true solar time, at whose noon the sun stands in the meridian."""
+"""A time zone, or true solar time, at whose noon the sun crosses the meridian."""
 
 SOLAR: Literal["solar"] = "solar"
 
-CLOCK_WORDS = "solar, utc, an offset as +02:00, or a time zone as Europe/Oslo"
+CLOCK_WORDS = "solar, utc, an offset such as +02:00, or a time zone such as Europe/Oslo"
 
 _OFFSET = re.compile(r"(?:(?:utc|gmt)\s*)?([+-])\s*(\d{1,2}?)(?::?([0-5]\d))?", re.IGNORECASE | re.ASCII)
-"""An offset, with or without a name before it. ``Etc/GMT+2``, which lies behind UTC, is a zone and none of these."""
+"""An offset, with or without a name before it. ``Etc/GMT+2``, which lies behind UTC, is a zone and does not match."""
 
 _LOST_PLUS = re.compile(r"^((?:utc|gmt)?) (?=\d)", re.IGNORECASE | re.ASCII)
-"""What stands before the place of a plus sign that arrived as a space."""
+"""The text before a plus sign that arrived as a space, as in URLs."""
 
 MAX_SPELLINGS = 3
-"""Zones that are proposed for a name that is none."""
+"""Zones that are suggested for an unknown name."""
 
 MIN_LETTERS = 5
-"""Shorter names are like too many others: EST is like CEST, and six hours away."""
+"""Minimum length of a name for suggestions. Shorter names resemble too many others: EST resembles CEST, which is six hours away."""
 
 
 def clock_named(parameter: str, text: str) -> Clock:
     """Return the clock of a name.
 
-    Letters of either case, short offsets (``+2``, ``UTC+2``) and a ``+`` that arrived as a space are understood. Raises
-    ``InputError``, which names the parameter and the zones that are spelt alike.
+    Accepts letters of either case, short offsets (``+2``, ``UTC+2``) and a ``+`` that arrived as a space. Raises ``InputError``,
+    which names the parameter and zones with a similar spelling.
     """
     name = text.strip()
     if name.lower() == SOLAR:
@@ -54,11 +54,11 @@ def clock_named(parameter: str, text: str) -> Clock:
     if spelt is not None:
         return ZoneInfo(spelt)
     alike = ", ".join(_zones_alike(name.lower(), zones))
-    raise InputError(parameter, text, f"{CLOCK_WORDS}{f' (perhaps {alike})' if alike else ''}")
+    raise InputError(parameter, text, f"{CLOCK_WORDS}{f' (did you mean {alike}?)' if alike else ''}")
 
 
 def _zones_alike(name: str, zones: dict[str, str]) -> list[str]:
-    """The zones (by their names in lower case) of a city, or those that are spelt most like a name."""
+    """Return the zones of a city, or those with a spelling similar to a name. ``zones`` maps names in lower case."""
     city = re.sub(r"\s+", "_", name.rpartition("/")[2])
     found = [zone for zone in sorted(zones) if zone.rpartition("/")[2] == city and "/" in zone]
     if not found and len(name) >= MIN_LETTERS:
@@ -69,17 +69,17 @@ def _zones_alike(name: str, zones: dict[str, str]) -> list[str]:
 
 
 def day_ends(day: date, clock: tzinfo, parameter: str = "date") -> tuple[datetime, datetime]:
-    """Return the midnights that a day lies between. Raises ``InputError`` for a day that the clock's calendar leaves out."""
+    """Return the midnights at which a day begins and ends. Raises ``InputError`` for a day that the clock's calendar skips."""
     first = datetime(day.year, day.month, day.day, tzinfo=clock)
     following = day + timedelta(days=1)
     end = datetime(following.year, following.month, following.day, tzinfo=clock)
     if end.astimezone(UTC) <= first.astimezone(UTC):
-        raise InputError(parameter, day.isoformat(), f"a day of {clock}, whose clocks went over this one")
+        raise InputError(parameter, day.isoformat(), f"a day in the calendar of {clock}, which skips this one")
     return first, end
 
 
 def has_day(day: date, clock: tzinfo) -> bool:
-    """Whether a clock's calendar has a day: Samoa's has no 30 December 2011."""
+    """Return whether a clock's calendar has a day. Samoa's has no 30 December 2011."""
     try:
         day_ends(day, clock)
     except InputError:
@@ -88,15 +88,15 @@ def has_day(day: date, clock: tzinfo) -> bool:
 
 
 def time_zone_at(lon_deg: float, lat_deg: float) -> str | None:
-    """Return the IANA time zone that is kept at a place, as Europe/Oslo; ``None`` where none is known."""
-    import tzfpy  # its borders take 35 MB
+    """Return the IANA time zone of a position, such as Europe/Oslo; ``None`` if it is unknown."""
+    import tzfpy  # imported here: its borders take 35 MB of memory
 
     return tzfpy.get_tz((lon_deg + 180.0) % 360.0 - 180.0, lat_deg) or None
 
 
 def date_of(name: str, text: str) -> date:
-    """A date from its text, as 2024-03-21. Raises ``InputError``, also for a date that there is not."""
+    """Return the date of a text such as 2024-03-21. Raises ``InputError``, also for a date that does not exist."""
     try:
         return date.fromisoformat(text.strip())
     except ValueError:
-        raise InputError(name, Problem(f"'{text}' is no date"), "a date of the calendar, as 2024-03-21") from None
+        raise InputError(name, text, "a calendar date such as 2024-03-21") from None

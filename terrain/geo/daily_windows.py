@@ -1,4 +1,4 @@
-"""Daily windows of time: from one reading of a clock to another, by the time of a zone, by UTC or by true solar time."""
+"""Daily time windows between two clock times, by a time zone, by UTC or by true solar time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from datetime import UTC, date, datetime, time, timedelta, tzinfo
 
 import numpy as np
 
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.clock import Clock, day_ends
 from skugga.terrain.geo.sun_path import check_date, sun_path
 from skugga.terrain.geo.world import World
@@ -16,18 +16,30 @@ from skugga.terrain.geo.world import World
 DAY_MIN = 1440.0
 
 MOST_DATES = 3700
-"""A decade's."""
+"""A decade of dates."""
 
 SOLAR_ROUNDS = 3
-"""Times that a reading of true solar time is corrected by the equation of time found there: it changes by half a minute a day."""
+"""Iterations that correct true solar time by the equation of time, which changes by half a minute a day."""
 
 
 @dataclass(frozen=True)
 class DailyWindow:
-    """A window of one date: from ``start`` on, in UTC, so many minutes.
+    """A window of one date.
 
-    ``clock_min`` is what the clock reads at its start, in minutes from midnight; ``change_min`` after that it is put forward by
-    ``change_by_min`` (or back), as on the days on which summer time begins and ends (0: it is not).
+    Attributes
+    ----------
+    date
+        The date.
+    start
+        Its start in UTC.
+    minutes
+        Its length in minutes.
+    clock_min
+        The clock time at its start, in minutes from midnight.
+    change_min
+        Minutes from the start to a change of the clock, as at the begin and the end of summer time.
+    change_by_min
+        Minutes by which the clock is put forward (negative: back) then; 0 without a change.
     """
 
     date: date
@@ -38,20 +50,23 @@ class DailyWindow:
     change_by_min: float = 0.0
 
     def reading_min(self, minutes: float) -> float:
-        """What the clock reads so many minutes after the start, in minutes from midnight."""
+        """Return the clock time some minutes after the start, in minutes from midnight."""
         changed = self.change_by_min != 0.0 and minutes >= self.change_min
         return self.clock_min + minutes + (self.change_by_min if changed else 0.0)
 
 
 def daily_window(day: date, first_min: float, last_min: float, clock: Clock, world: World) -> DailyWindow:
-    """The window of a date between two readings of a clock, minutes from midnight (0 to 1440).
+    """Return the window of a date between two clock times, in minutes from midnight (0 to 1440).
 
-    A reading that there is not, as an hour is left out when summer time begins, stands for the time as long after the reading
-    before it; of one that there is twice the first is the window's start, and the second its end (24:00 is where the next date
-    begins). Raises ``InputError``, also where the clock goes over the whole date or the whole window.
+    A clock time that does not exist, as when summer time begins, counts from the clock time before the change. Of a clock time that
+    occurs twice, the window starts at the first occurrence and ends at the second. 24:00 is the start of the next date.
+
+    Raises ``InputError``, also where the clock skips the whole date or the whole window.
     """
     if not 0.0 <= first_min < last_min <= DAY_MIN:
-        raise InputError("window", f"{clock_text(first_min)}-{clock_text(last_min)}", "a time, and a later one, 00:00 to 24:00")
+        raise InputError(
+            "window", f"{clock_text(first_min)}-{clock_text(last_min)}", "a start time and a later end time, 00:00 to 24:00"
+        )
     check_date(day)
     if isinstance(clock, str):
         start, end = (_solar_moment(day, minutes, world) for minutes in (first_min, last_min))
@@ -61,7 +76,7 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
     minutes = (end - start) / timedelta(minutes=1)
     if minutes <= 0.0:
         readings = f"{clock_text(first_min)}-{clock_text(last_min)}"
-        raise InputError("window", readings, f"readings of {clock} on {day.isoformat()}, whose clocks went over these")
+        raise InputError("window", readings, f"times that occur in {clock} on {day.isoformat()}, whose clocks skip these")
     before, after = _offset_min(start, clock), _offset_min(end - timedelta(seconds=1), clock)
     reading = datetime.combine(day, time(), UTC)
     clock_min = (start - reading) / timedelta(minutes=1) + before
@@ -71,7 +86,7 @@ def daily_window(day: date, first_min: float, last_min: float, clock: Clock, wor
 
 
 def dates_of(first: date, last: date, every_days: int) -> list[date]:
-    """The dates from one to another, both included, so many days apart. Raises ``InputError``."""
+    """Return the dates from ``first`` to ``last``, both included, every ``every_days`` days. Raises ``InputError``."""
     if last < first:
         raise InputError("to", last.isoformat(), f"{first.isoformat()} or later")
     if every_days < 1:
@@ -80,26 +95,27 @@ def dates_of(first: date, last: date, every_days: int) -> list[date]:
 
 
 def readings_of(text: str) -> tuple[float, float]:
-    """The two readings of a window, as 08:00-16:00: minutes from midnight. Raises ``InputError``."""
+    """Return the two clock times of a window such as 08:00-16:00, in minutes from midnight. Raises ``InputError``."""
     found = re.fullmatch(r"(\d{1,2}):([0-5]\d)-(\d{1,2}):([0-5]\d)", text.strip(), re.ASCII)
     first, last = (int(found[n]) * 60 + int(found[n + 1]) for n in (1, 3)) if found else (-1, -1)
     if not 0 <= first < last <= DAY_MIN:
-        raise InputError("window", text, "a time and a later one of one day, as 08:00-16:00; at most 00:00-24:00")
+        raise InputError("window", text, "a start time and a later end time of one day, such as 08:00-16:00, within 00:00-24:00")
     return float(first), float(last)
 
 
 def windows_asked(
     world: World, first: date, last: date, every_days: int, readings: tuple[float, float], clock: Clock
 ) -> list[DailyWindow]:
-    """The windows of the dates from one to another, so many days apart. Raises ``InputError``, also off the earth.
+    """Return the windows of the dates from ``first`` to ``last``, every ``every_days`` days.
 
-    The first and the last date must be there; between them those without a window by this clock are left out.
+    The calendar must have the first and the last date. Dates between them without a window by this clock are omitted. Raises
+    ``InputError``, also for ground outside of the earth.
     """
     days = dates_of(first, last, every_days)
     if len(days) > MOST_DATES:
-        raise InputError("to", last.isoformat(), f"at most {MOST_DATES} dates; these are {len(days)}")
+        raise InputError.over_limit("to", f"{len(days)} dates", str(MOST_DATES), "Choose an earlier date or a larger step")
     if world.off_earth is not None:
-        raise InputError("date", first.isoformat(), f"no date: {world.off_earth}, and has no sun of a date")
+        raise InputError("date", Problem(f"no sun of a date here, since {world.off_earth}"), "Use a level on the earth")
     if not isinstance(clock, str):
         for name, day in (("date", first), ("to", last)):
             day_ends(day, clock, name)
@@ -108,12 +124,12 @@ def windows_asked(
 
 
 def clock_text(minutes: float) -> str:
-    """Minutes from midnight as a clock reads: 08:30."""
+    """Return minutes from midnight as a clock time such as 08:30."""
     return f"{int(minutes // 60):02d}:{int(minutes % 60):02d}"
 
 
 def _zone_ends(day: date, first_min: float, last_min: float, zone: tzinfo) -> tuple[datetime, datetime]:
-    """When the readings of a window are; not one after the other where the zone's clocks go over the window."""
+    """Return the moments of a window's clock times. They are not ascending where the zone's clock skips the window."""
     return _zone_moment(day, first_min, zone, fold=0), _zone_moment(day, last_min, zone, fold=int(last_min < DAY_MIN))
 
 
@@ -123,11 +139,11 @@ def _has_window(day: date, first_min: float, last_min: float, zone: tzinfo) -> b
 
 
 def _zone_moment(day: date, minutes: float, zone: tzinfo, fold: int) -> datetime:
-    """The moment of a reading; a reading that is left out counts from the time before the change (PEP 495, ``fold``)."""
+    """Return the moment of a clock time. A skipped clock time counts from the time before the change (PEP 495, ``fold``)."""
     days, rest = divmod(minutes, DAY_MIN)
     reading = datetime.combine(day, time()) + timedelta(days=days, minutes=rest)
     there = reading.replace(tzinfo=zone, fold=fold).astimezone(UTC)
-    if there.astimezone(zone).replace(tzinfo=None) != reading:  # left out
+    if there.astimezone(zone).replace(tzinfo=None) != reading:  # skipped by the clock
         there = reading.replace(tzinfo=zone, fold=0).astimezone(UTC)
     return there
 
@@ -139,7 +155,7 @@ def _offset_min(moment: datetime, zone: tzinfo) -> float:
 
 
 def _change_min(start: datetime, minutes: float, zone: tzinfo) -> float:
-    """Minutes after a start at which a zone's clock is put forward or back, which it is once within so many."""
+    """Return the minutes from a start to the change of a zone's clock, which occurs once in ``minutes``."""
     before = _offset_min(start, zone)
     low, high = 0, int(np.ceil(minutes))
     while high - low > 1:
@@ -152,7 +168,7 @@ def _change_min(start: datetime, minutes: float, zone: tzinfo) -> float:
 
 
 def _solar_moment(day: date, minutes: float, world: World) -> datetime:
-    """When the sun's hour angle at a level's anchor says so many minutes after midnight of true solar time."""
+    """Return the moment at which a level's anchor has a true solar time, in minutes from midnight."""
     lon, lat = world.anchor_lon_deg, float(np.clip(world.anchor_lat_deg, -89.0, 89.0))
     moment = datetime.combine(day, time(), UTC) + timedelta(minutes=minutes - 4.0 * lon)
     for _ in range(SOLAR_ROUNDS):
@@ -162,10 +178,10 @@ def _solar_moment(day: date, minutes: float, world: World) -> datetime:
 
 
 def solar_min(moment: datetime, lon_deg: float, lat_deg: float) -> float:
-    """True solar time at a place, minutes from midnight: 720 when the sun stands in the meridian, a quarter degree of hour angle
-    each.
+    """Return the true solar time of a moment at a position, in minutes from midnight.
 
-    From tan H = sin A / (cos A sin lat - tan h cos lat) for azimuths A from south and altitudes h without refraction.
+    It is 720 when the sun crosses the meridian, and a minute is a quarter of a degree of hour angle. From
+    tan H = sin A / (cos A sin lat - tan h cos lat) for azimuths A from south and altitudes h without refraction.
     """
     path = sun_path([moment], lon_deg, lat_deg)
     azimuth, lat = np.radians(path.azimuth_deg[0] - 180.0), np.radians(lat_deg)

@@ -1,12 +1,14 @@
-"""The sample grid of a map view, and views and blocks in it.
+"""The sample grid of a map view, and views and blocks on it.
 
-A map view is no camera. Its surface is one world-fixed grid of samples (nodes) per level, CRS and zoom, so that the
-same ground is the same triangles in every view. Node (row, col) lies at ``x = x0 + col * step``,
-``y = y0 - row * step``; rows grow southwards. ``skugga.terrain.ground.sheet`` says how the quads between them are cut.
+A map view has no camera. Its surface is one world-fixed grid of samples (nodes) per level, CRS and zoom. The same ground therefore
+has the same triangles in every view. Node (row, col) lies at ``x = x0 + col * step``, ``y = y0 - row * step``; rows grow
+southwards. ``skugga.terrain.ground.sheet`` defines how the quads between nodes are split.
 
-For tiles the nodes are the centres of the tile matrix's pixels. Other map views take the power-of-two resolution at or
-below the asked one: counted from one tile's resolution in the two CRSs whose tile matrices are ladders of powers of
-two themselves (there the powers are the zooms), from one unit of the CRS and from the anchor elsewhere.
+The nodes of tiles are the centres of the tile matrix's pixels. Other map views use the largest power-of-two resolution that is not
+coarser than the requested one:
+
+- In the two CRSs whose tile matrices are ladders of powers of two, the powers count from one tile's resolution and are the zooms.
+- In other CRSs they count from one unit of the CRS, and nodes from the anchor.
 """
 
 from __future__ import annotations
@@ -18,18 +20,19 @@ import numpy as np
 from pyproj import CRS
 
 from skugga.terrain.cache import MIB, cached
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.world import LONGITUDE_LATITUDE, World, epsg_of, transformer
 
 if TYPE_CHECKING:
     from morecantile import TileMatrixSet
 
 BLOCK_PX = 1024
-TILE_PX = 256
 """Side of a map block in pixels: the unit of work and of caching."""
+TILE_PX = 256
+"""Side of a tile in pixels."""
 
 MAX_WINDOW_NODES = 8192
-"""Most nodes along a block: pixels are at most four times as long as wide, less in small pictures."""
+"""Maximum number of nodes along a block. Pixels are at most four times as long as wide, less in small pictures."""
 
 TILE_LADDERS = {3857: "WebMercatorQuad", 4326: "WGS1984Quad"}
 """CRSs whose maps share the grids of a tile matrix set."""
@@ -42,7 +45,7 @@ PixelWindow = tuple[slice, slice]
 
 
 class Sized(Protocol):
-    """A view, or whatever else has rows and columns of pixels."""
+    """An object with rows and columns of pixels, such as a view."""
 
     @property
     def rows(self) -> int: ...
@@ -55,8 +58,19 @@ class Sized(Protocol):
 class Grid:
     """A world-fixed lattice of samples in a CRS.
 
-    ``stretch`` is its step in y over that in x: 1 but for rasters' own cells. A grid that ``refines`` another so many times has the
-    very surface of that one: its nodes lie on the coarser one's quads.
+    Attributes
+    ----------
+    crs
+        The CRS.
+    x0, y0
+        Coordinates of node (0, 0) in CRS units.
+    step
+        Distance of neighbouring nodes in x, in CRS units.
+    stretch
+        The step in y over that in x. It is 1 except for rasters' own cells.
+    refines
+        How many times the grid was refined (``refined``). A refined grid has the same surface as the coarse one, since its nodes
+        lie on the coarse one's quads.
     """
 
     crs: CRS
@@ -67,38 +81,41 @@ class Grid:
     refines: int = 0
 
     def __hash__(self) -> int:
-        return hash((self.x0, self.y0, self.step, self.stretch, self.refines))  # a CRS is written out to be hashed
+        return hash((self.x0, self.y0, self.step, self.stretch, self.refines))  # without the CRS, whose hash is slow
 
     def x(self, col: FloatOrArray) -> FloatOrArray:
-        """x of a (fractional) column, in CRS units."""
+        """Return x of a (fractional) column, in CRS units."""
         return self.x0 + col * self.step
 
     def y(self, row: FloatOrArray) -> FloatOrArray:
-        """y of a (fractional) row, in CRS units."""
+        """Return y of a (fractional) row, in CRS units."""
         return self.y0 - row * (self.step * self.stretch)
 
     def col(self, x: FloatOrArray) -> FloatOrArray:
-        """The (fractional) column of x."""
+        """Return the (fractional) column of x."""
         return (x - self.x0) / self.step
 
     def row(self, y: FloatOrArray) -> FloatOrArray:
-        """The (fractional) row of y."""
+        """Return the (fractional) row of y."""
         return (self.y0 - y) / (self.step * self.stretch)
 
     def coarser(self, level: int) -> Grid:
-        """The grid of every 2**level-th node."""
+        """Return the grid of every 2**level-th node."""
         return replace(self, step=self.step * 2**level, refines=max(self.refines - level, 0))
 
     def finer(self, level: int) -> Grid:
-        """The grid with 2**level times as many nodes a side, those of this one among them."""
+        """Return the grid with 2**level times as many nodes per side. It contains this grid's nodes."""
         return replace(self, step=self.step / 2**level)
 
     def refined(self) -> Grid:
-        """The grid of the same surface with twice as many nodes a side, those of this one among them."""
+        """Return the grid of the same surface with twice as many nodes per side. It contains this grid's nodes."""
         return replace(self, step=self.step / 2, refines=self.refines + 1)
 
     def subdivided(self, level: int) -> Grid:
-        """The grid whose pixels are this one's cut into 2**level a side: of a tile matrix that of the matrix ``level`` zooms on."""
+        """Return the grid whose pixels divide each of this grid's pixels into 2**level per side.
+
+        For a tile matrix this is the grid of the matrix ``level`` zooms further in.
+        """
         step, side = self.step / 2**level, self.step * self.stretch
         y0 = self.y0 + side / 2 - step * self.stretch / 2
         return Grid(self.crs, self.x0 - self.step / 2 + step / 2, y0, step, self.stretch)
@@ -106,10 +123,22 @@ class Grid:
 
 @dataclass(frozen=True)
 class MapView:
-    """Pixels of a map: their centres in (fractional) node coordinates of a grid.
+    """Pixels of a map. Their centres are (fractional) node coordinates of a grid.
 
-    The centre of pixel (i, j) lies at row ``row0 + i * row_step`` and column ``col0 + j * col_step``. ``pixel_share`` is a pixel's
-    side as a share of the steps: 1 but in views of every n-th pixel.
+    The centre of pixel (i, j) lies at row ``row0 + i * row_step`` and column ``col0 + j * col_step``.
+
+    Attributes
+    ----------
+    grid
+        The grid.
+    row0, col0
+        Node coordinates of the first pixel's centre.
+    row_step, col_step
+        Distance of neighbouring pixels in nodes.
+    rows, cols
+        Size in pixels.
+    pixel_share
+        A pixel's side as a share of the steps. It is 1 except in views of every n-th pixel.
     """
 
     grid: Grid
@@ -129,34 +158,34 @@ class MapView:
 
     @property
     def centre_node(self) -> tuple[float, float]:
-        """(Fractional) row and column of the middle."""
+        """(Fractional) row and column of the centre."""
         return self.row0 + (self.rows - 1) / 2 * self.row_step, self.col0 + (self.cols - 1) / 2 * self.col_step
 
     @property
     def centre(self) -> tuple[float, float]:
-        """x, y of the middle, in CRS units."""
+        """x, y of the centre in CRS units."""
         row, col = self.centre_node
         return float(self.grid.x(col)), float(self.grid.y(row))
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """West, south, east, north of the pixels' outer edges, in CRS units."""
+        """West, south, east, north of the pixels' outer edges in CRS units."""
         west, east = self.col0 - self.col_step / 2, self.col0 + (self.cols - 0.5) * self.col_step
         north, south = self.row0 - self.row_step / 2, self.row0 + (self.rows - 0.5) * self.row_step
         return float(self.grid.x(west)), float(self.grid.y(south)), float(self.grid.x(east)), float(self.grid.y(north))
 
     def part(self, row: int, col: int, rows: int, cols: int) -> MapView:
-        """The view of some of the pixels; the offsets may be negative."""
+        """Return the view of some of the pixels. The offsets may be negative."""
         row0, col0 = self.row0 + row * self.row_step, self.col0 + col * self.col_step
         return replace(self, row0=row0, col0=col0, rows=rows, cols=cols)
 
     def shifted(self, rows: float, cols: float) -> MapView:
-        """The view whose pixel centres lie a share of pixels further down and to the right."""
+        """Return the view with all pixel centres moved down and to the right by fractions of a pixel."""
         down, right = self.pixel_share * self.row_step, self.pixel_share * self.col_step
         return replace(self, row0=self.row0 + rows * down, col0=self.col0 + cols * right)
 
     def as_nodes(self) -> MapView:
-        """The same pixels as nodes of a grid of their own, counted from where this one's are."""
+        """Return the same pixels as nodes of a grid of their own, which has the same origin of counting."""
         if self.on_nodes:
             return self
         row, col = self.row0 / self.row_step, self.col0 / self.col_step
@@ -167,7 +196,7 @@ class MapView:
         return MapView(grid, float(whole_row), float(whole_col), 1.0, 1.0, self.rows, self.cols, self.pixel_share)
 
     def finer(self, side: int) -> MapView:
-        """The view with ``side`` x ``side`` pixels regularly inside each of this one's, cut from the same grid."""
+        """Return the view on the same grid with ``side`` x ``side`` evenly spaced pixels in each pixel."""
         first = (1.0 / side - 1.0) / 2.0
         fine = self.shifted(first, first)
         return replace(
@@ -176,10 +205,13 @@ class MapView:
 
 
 def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
-    """The grid of a map view other than a tile: the power-of-two resolution at or below ``resolution`` (CRS units)."""
+    """Return the grid of a map view that is no tile.
+
+    Its resolution is the largest power of two that is not above ``resolution`` (CRS units).
+    """
     name = None if world.flat else TILE_LADDERS.get(epsg_of(crs) or 0)
     if name is not None:
-        from morecantile import tms as matrix_sets  # a fifth of a second, which maps in other CRSs need not pay
+        from morecantile import tms as matrix_sets  # imported here: takes 0.2 s, and maps in other CRSs do not need it
 
         tms = matrix_sets.get(name)
         base = tms.matrix(0).cellSize
@@ -196,9 +228,9 @@ def map_grid(world: World, crs: CRS, resolution: float) -> Grid:
 
 @cached("process", MIB, size_of=lambda _: 512)
 def step_at_anchor_m(world: World, grid: Grid) -> float:
-    """Ground distance between neighbouring nodes at the anchor, metres: the root of a quad's area.
+    """Return the ground distance between neighbouring nodes at the anchor in metres: the root of a quad's area.
 
-    One figure for the level, so that nothing is decided per tile.
+    One value for the whole level, so that no decision depends on the tile.
     """
     if world.flat:
         return grid.step * world.metres_per_unit * float(np.sqrt(grid.stretch))
@@ -215,13 +247,13 @@ def step_at_anchor_m(world: World, grid: Grid) -> float:
 
 @cached("process", MIB, key=lambda tms: (tms.id,), size_of=lambda _: 2**14)
 def crs_of_tiles(tms: TileMatrixSet) -> CRS:
-    """The CRS of a tile matrix set: one object, by which what is kept for it is found."""
+    """Return the CRS of a tile matrix set. It is one object, since caches compare CRSs by identity."""
     return CRS.from_user_input(tms.rasterio_crs.to_wkt())
 
 
 @cached("process", MIB, key=lambda tms, zoom: (tms.id, zoom), size_of=lambda _: 512)
 def tile_grid(tms: TileMatrixSet, zoom: int) -> Grid:
-    """The grid of a tile matrix: nodes are the pixels' centres, counted from the matrix's corner."""
+    """Return the grid of a tile matrix. Nodes are the centres of its pixels, counted from the matrix's corner."""
     from morecantile import Tile
 
     step = tms.matrix(zoom).cellSize
@@ -230,27 +262,28 @@ def tile_grid(tms: TileMatrixSet, zoom: int) -> Grid:
 
 
 def map_view(world: World, crs: CRS, bounds: tuple[float, float, float, float], rows: int, cols: int) -> MapView:
-    """The view of a map extent (west, south, east, north in ``crs``) with a size in pixels.
+    """Return the view of a map extent (west, south, east, north in ``crs``) with a size in pixels.
 
-    Pixel centres that lie on nodes but for rounding are put on them.
+    Pixel centres that lie on nodes within rounding errors are snapped to them.
     """
     west, south, east, north = bounds
     col_px, row_px = (east - west) / cols, (north - south) / rows
     grid = map_grid(world, crs, min(col_px, row_px))
     nodes = max(min(cols, BLOCK_PX) * col_px, min(rows, BLOCK_PX) * row_px) / grid.step
     if nodes > MAX_WINDOW_NODES:
-        raise InputError("size", f"{cols}x{rows}", f"nearly square pixels: these are {col_px:.3g} by {row_px:.3g} in {crs.name}")
-    # Differences first: with coordinates in the millions they are exact where sums are not.
+        oblong = Problem(f"{cols}x{rows} gives pixels of {col_px:.3g} by {row_px:.3g} in {crs.name}")
+        raise InputError("size", oblong, "Choose a size with nearly square pixels")
+    # Subtract first: with coordinates in the millions differences are exact where sums are not.
     row0, row_step = _snapped(((grid.y0 - north) + row_px / 2) / grid.step, row_px / grid.step, rows)
     col0, col_step = _snapped(((west - grid.x0) + col_px / 2) / grid.step, col_px / grid.step, cols)
     return MapView(grid, row0, col0, row_step, col_step, rows, cols)
 
 
 def blocks_of(view: MapView) -> list[tuple[MapView, int, int]]:
-    """The blocks a view is made of, each with the view's (row, col) of the block's first pixel (may be negative).
+    """Return the blocks of a view, each with the view's (row, col) of the block's first pixel, which may be negative.
 
-    Where pixels are nodes the blocks are world-fixed: multiples of ``BLOCK_PX`` nodes, whatever the view, so that every
-    view cuts from the same blocks. Else they are counted from the view's corner.
+    Where pixels are nodes, blocks are world-fixed: multiples of ``BLOCK_PX`` nodes, independent of the view. Every view then uses
+    the same blocks. Otherwise they are counted from the view's corner.
     """
     first_row = int(view.row0) % BLOCK_PX if view.on_nodes else 0
     first_col = int(view.col0) % BLOCK_PX if view.on_nodes else 0
@@ -264,7 +297,7 @@ def blocks_of(view: MapView) -> list[tuple[MapView, int, int]]:
 
 
 def windows_of(view: Sized, block: Sized, row: int, col: int) -> tuple[PixelWindow, PixelWindow]:
-    """Return the rows and columns of a view that a block covers, and the same ones counted in the block.
+    """Return the rows and columns of a view that a block covers, and the same ones relative to the block.
 
     ``row`` and ``col`` are the view's row and column of the block's first pixel, as in ``blocks_of``.
     """

@@ -1,15 +1,19 @@
-"""Smooth curves through keys with times, for what moves: cubic between keys, with one velocity at each (C1).
+"""Smooth curves through keyframes, for motion: cubic between keyframes, with one velocity at each (C1).
 
-**Velocities at keys.** Between a way in with the mean velocity a and a way out with b, a key has the velocity
+**Velocities at keyframes.** Let a be the mean velocity of the segment before a keyframe, and b that of the segment after it. The
+velocity at the keyframe is
 
     m = H (a/|a| + b/|b|) / 2,    (w0 + w1) / H = w0 / |a| + w1 / |b|,    w0 = 2 t1 + t0,  w1 = t1 + 2 t0,
 
-with t0 and t1 the times of the two ways. Of one coordinate that is PCHIP (Fritsch and Butland 1984, "A method for constructing
-local monotone piecewise cubic interpolants", SIAM J. Sci. Stat. Comput. 5(2):300-304): no value goes beyond those of the keys
-round it. Of several it is the same along whichever axes they are counted (PCHIP for each would stop at a corner of a square that
-stands upright, and not if it stood on its tip), and for keys that are even in time and way it is the Catmull-Rom spline. Where a
-way has no length the velocity is 0: what has two keys in one place rests between them. Catmull-Rom's with uneven times
-(centripetal or not) would leave that place and come back.
+with t0 and t1 the durations of the two segments.
+
+- In one coordinate this is PCHIP (Fritsch and Butland 1984, "A method for constructing local monotone piecewise cubic
+  interpolants", SIAM J. Sci. Stat. Comput. 5(2):300-304): no value overshoots the neighbouring keyframes.
+- In several coordinates the result does not depend on the axes. PCHIP of each coordinate does: it would stop at a corner of an
+  upright square, but not at that of a square on its tip.
+- For keyframes that are even in time and distance it is the Catmull-Rom spline.
+- Where a segment has no length the velocity is 0, so that an object rests between two keyframes at one position. Catmull-Rom with
+  uneven times (centripetal or not) would leave that position and return.
 """
 
 from __future__ import annotations
@@ -24,15 +28,27 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
 INSIDE = 1e-6
-"""How far from the ends of a part, as a share of its time, directions are taken: at an end what moves may rest."""
+"""Distance from the ends of a segment, as a share of its duration, at which directions are evaluated.
+
+At an end the object may rest.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class KeyedCurve:
-    """A curve through values (n, k) at times (n,), rising, in seconds; at least two.
+    """A curve through keyframes.
 
-    A ``loop`` begins again after the last key, whose value is the first one's, with the velocity with which it ends. Else the curve
-    rests before the first key and after the last one, and starts and stops without a jerk.
+    A curve that does not loop rests before the first keyframe and after the last one, and starts and stops without a jerk. A loop
+    repeats after the last keyframe, whose value equals the first one's, with the same velocity.
+
+    Attributes
+    ----------
+    times_s
+        (n,), ascending times in seconds; at least two.
+    values
+        (n, k), the keyframes' values.
+    loop
+        Whether the curve repeats.
     """
 
     times_s: np.ndarray
@@ -40,12 +56,13 @@ class KeyedCurve:
     loop: bool = False
 
     def at(self, seconds: float | np.ndarray) -> np.ndarray:
-        """Values (..., k) at times (...)."""
+        """Return the values (..., k) at times (...)."""
         return np.asarray(self._spline(self._since_first_s(seconds)))
 
     def direction_at(self, seconds: float) -> np.ndarray:
-        """The way (k,) that it goes, of any length: at rest the way it came, at the very beginning the way it will go; 0 if it
-        never moves.
+        """Return the direction of motion (k,) at a time, of any length.
+
+        At rest it is the last direction of motion, or before any motion the first one. It is 0 if the curve never moves.
         """
         since_s, moves = float(self._since_first_s(seconds)), self._moves
         if not moves.any():
@@ -62,12 +79,12 @@ class KeyedCurve:
 
     @property
     def _knots_s(self) -> np.ndarray:
-        """Times from the first key on: small numbers, whatever the clock says."""
+        """Times since the first keyframe: small numbers, independent of the clock."""
         return self.times_s - self.times_s[0]
 
     @property
     def _moves(self) -> np.ndarray:
-        """Which of the parts between keys move (n - 1,), bool."""
+        """Mask (n - 1,) of segments with motion."""
         return (np.diff(self.values, axis=0) != 0.0).any(axis=1)
 
     def _since_first_s(self, seconds: float | np.ndarray) -> np.ndarray:
@@ -76,12 +93,12 @@ class KeyedCurve:
 
     @cached_property
     def _spline(self) -> CubicHermiteSpline:
-        from scipy.interpolate import CubicHermiteSpline  # takes a tenth of a second, which levels where nothing moves need not pay
+        from scipy.interpolate import CubicHermiteSpline  # imported here: takes 0.1 s, and only moving objects need it
 
         return CubicHermiteSpline(self._knots_s, self.values, self._velocities(), axis=0)
 
     def _velocities(self) -> np.ndarray:
-        """Velocities (n, k) at the keys."""
+        """Return the velocities (n, k) at the keyframes."""
         lasts_s, velocity = np.diff(self._knots_s), np.diff(self.values, axis=0) / np.diff(self._knots_s)[:, None]
         if self.loop:
             lasts_s, velocity = np.r_[lasts_s[-1:], lasts_s, lasts_s[:1]], np.r_[velocity[-1:], velocity, velocity[:1]]

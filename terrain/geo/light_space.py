@@ -1,8 +1,8 @@
-"""Light space of the sun: right, up and away-from-the-sun metres, counted from the level's anchor. Float64.
+"""The light space of the sun: axes right, up and away from the sun, in metres from the level's anchor. Float64.
 
-The axes come from the sun's azimuth and altitude at the anchor, not from a cross product with a reference direction:
-right is horizontal and up leans from the zenith towards the sun's foot point, which is defined for every sun, the
-zenith included. Being counted from the anchor, one light space serves all views of a level.
+The axes follow from the sun's azimuth and altitude at the anchor, not from a cross product with a reference direction. Right is
+horizontal. Up leans from the zenith towards the point below the sun. Both are defined for every sun, the zenith included. One light
+space serves all views of a level, since its origin is the anchor.
 """
 
 from __future__ import annotations
@@ -18,29 +18,39 @@ from skugga.terrain.geo.world import LocalFrame, World
 
 @dataclass(frozen=True, eq=False)
 class LightSpace:
-    """``point_light = light_from_earth @ (point_earth - origin_earth_m)``; x right, y up, z away from the sun, metres."""
+    """The transformation ``point_light = light_from_earth @ (point_earth - origin_earth_m)``.
+
+    Attributes
+    ----------
+    light_from_earth
+        (3, 3), rotation to the axes x right, y up and z away from the sun.
+    origin_earth_m
+        (3,), the earth-fixed origin in metres.
+    altitude_deg
+        The sun's altitude at the anchor in degrees.
+    """
 
     light_from_earth: np.ndarray
     origin_earth_m: np.ndarray
     altitude_deg: float
 
     def from_frame(self, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
-        """Rotation (3, 3) and translation (3,) that take a frame's points to light space."""
+        """Return the rotation (3, 3) and translation (3,) from a frame to light space, in metres."""
         rotation = self.light_from_earth @ frame.frame_from_earth.T
         return rotation, self.light_from_earth @ (frame.origin_earth_m - self.origin_earth_m)
 
     def from_earth(self, point_earth: np.ndarray) -> np.ndarray:
-        """Light-space points (..., 3) of earth-fixed ones."""
+        """Return the light-space points (..., 3) of earth-fixed points."""
         return (point_earth - self.origin_earth_m) @ self.light_from_earth.T
 
     def towards_sun_m(self, point_light: np.ndarray) -> np.ndarray:
-        """How far points (..., 3) lie towards the sun along the anchor's horizontal plane."""
+        """Return the distances of points (..., 3) towards the sun along the anchor's horizontal plane, in metres."""
         altitude = np.radians(self.altitude_deg)
         return -np.cos(altitude) * point_light[..., 2] - np.sin(altitude) * point_light[..., 1]
 
 
 def light_space(world: World, sun: Sun) -> LightSpace:
-    """The sun's light space."""
+    """Return the sun's light space."""
     azimuth = np.radians(sun.azimuth_deg)
     right = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
     up = -direction_enu(sun.azimuth_deg, sun.altitude_deg - 90.0)
@@ -51,9 +61,10 @@ def light_space(world: World, sun: Sun) -> LightSpace:
 def light_bounds(
     position_frame_m: np.ndarray, there: np.ndarray, rotation: np.ndarray, translation: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest light-space coordinates (3,) of the frame points (rows, cols, 3) that are ``there``.
+    """Return the minimum and maximum light-space coordinates (3,), (3,) of the valid frame points.
 
-    (inf, -inf) where none is.
+    Points have the shape (rows, cols, 3), their valid mask ``there`` the shape (rows, cols). Without valid points the result is
+    (inf, -inf).
     """
     ends = np.empty((len(there), 2, 3))
     in_shares(len(there), _bounds, position_frame_m, there, rotation, translation, ends)
@@ -62,7 +73,7 @@ def light_bounds(
 
 @compiled
 def _bounds(first, last, position, there, rotation, translation, ends):
-    """Of each row."""
+    """Compute the bounds of each row."""
     for i in range(first, last):
         out = ends[i]
         out[0] = np.inf

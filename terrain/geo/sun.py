@@ -1,7 +1,7 @@
-"""One sun for the whole earth: for a time there is one earth-fixed direction to it.
+"""The sun: one earth-fixed direction for the whole earth at a time.
 
-Azimuth and altitude at a place follow from the place's own axes. Refraction is added once, at the level's anchor;
-angles given by a user are apparent, at the anchor.
+Azimuth and altitude at a position follow from the position's own axes. Refraction is added once, at the level's anchor. Angles from
+a user are apparent angles at the anchor.
 """
 
 from __future__ import annotations
@@ -11,20 +11,29 @@ from datetime import datetime
 
 import numpy as np
 
-from skugga.terrain.errors import InputError
+from skugga.terrain.errors import InputError, Problem
 from skugga.terrain.geo.sun_path import sun_path
 from skugga.terrain.geo.world import LocalFrame, World
 from skugga.terrain.level.parts import SunSpec
 
 SUN_RADIUS_DEG = 0.265
-"""Half the sun's apparent diameter: 0.262 in July, 0.271 in January."""
+"""Half of the sun's apparent diameter: 0.262 in July, 0.271 in January."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sun:
-    """The sun: angles at the anchor and the earth-fixed unit vector towards it.
+    """The sun's position.
 
-    ``lift_deg`` is by how much refraction raises it there, which is part of ``altitude_deg``; 0 for angles that a user gave.
+    Attributes
+    ----------
+    azimuth_deg, altitude_deg
+        The apparent angles at the anchor, in degrees.
+    to_sun_earth
+        (3,), the earth-fixed unit vector towards the sun.
+    time
+        The time, or ``None`` for a sun given by angles.
+    lift_deg
+        Refraction at the anchor in degrees, which is included in ``altitude_deg``; 0 for angles from a user.
     """
 
     azimuth_deg: float
@@ -34,11 +43,11 @@ class Sun:
     lift_deg: float = 0.0
 
     def in_frame(self, frame: LocalFrame) -> np.ndarray:
-        """The unit vector (3,) towards it in a frame."""
+        """Return the unit vector (3,) towards the sun in a frame."""
         return frame.directions_from_earth(self.to_sun_earth)
 
     def without_refraction(self, world: World) -> Sun:
-        """The sun as it would be seen without an atmosphere."""
+        """Return the sun's geometric position, as without an atmosphere."""
         if self.lift_deg == 0.0:
             return self
         altitude = self.altitude_deg - self.lift_deg
@@ -46,16 +55,17 @@ class Sun:
 
 
 def sun_of(spec: SunSpec, world: World) -> Sun:
-    """The sun of a level or a query. Raises ``InputError``.
+    """Return the sun of a level or a query. Raises ``InputError``.
 
-    A time needs a place on the earth: in a flat world, and on another celestial body, only angles have a meaning.
+    A time needs a position on the earth. A flat world and another celestial body accept angles only.
     """
     lift = 0.0
     if spec.time is None:
         assert spec.azimuth is not None and spec.altitude is not None
         azimuth, altitude = spec.azimuth % 360.0, spec.altitude
     elif world.off_earth is not None:
-        raise InputError("time", spec.time.isoformat(), f"azimuth and altitude: {world.off_earth}")
+        no_sun = Problem(f"'{spec.time.isoformat()}' has no sun here, since {world.off_earth}")
+        raise InputError("time", no_sun, "Give azimuth and altitude")
     else:
         azimuth, altitude, lift = apparent_position(spec.time, world.anchor_lon_deg, world.anchor_lat_deg)
     to_sun = world.earth_from_anchor @ direction_enu(azimuth, altitude)
@@ -63,18 +73,18 @@ def sun_of(spec: SunSpec, world: World) -> Sun:
 
 
 def apparent_position(time: datetime, lon_deg: float, lat_deg: float) -> tuple[float, float, float]:
-    """Apparent azimuth and altitude, and how much of the altitude is refraction, in degrees, by ``sun_path``."""
+    """Return the apparent azimuth and altitude, and the refraction in that altitude, in degrees, by ``sun_path``."""
     path = sun_path([time], lon_deg, lat_deg)
     return float(path.azimuth_deg[0]), float(path.altitude_deg[0]), float(path.lift_deg[0])
 
 
 def direction_enu(azimuth_deg: float, altitude_deg: float) -> np.ndarray:
-    """Unit vector east, north, up towards an azimuth (clockwise from north) and altitude."""
+    """Return the unit vector (east, north, up) towards an azimuth (clockwise from north) and altitude."""
     azimuth, altitude = np.radians(azimuth_deg), np.radians(altitude_deg)
     return np.array([np.sin(azimuth) * np.cos(altitude), np.cos(azimuth) * np.cos(altitude), np.sin(altitude)])
 
 
 def position_at(to_sun_earth: np.ndarray, earth_from_enu: np.ndarray) -> tuple[float, float]:
-    """Azimuth and altitude in degrees of an earth-fixed direction, seen with the axes of one place."""
+    """Return the azimuth and altitude in degrees of an earth-fixed direction, for the axes of one position."""
     east, north, up = earth_from_enu.T @ to_sun_earth
     return float(np.degrees(np.arctan2(east, north))) % 360.0, float(np.degrees(np.arctan2(up, np.hypot(east, north))))

@@ -1,4 +1,4 @@
-"""Where the sun stands at many times, seen from one place."""
+"""The sun's positions at many times for one observer."""
 
 from __future__ import annotations
 
@@ -11,16 +11,26 @@ import numpy as np
 from skugga.terrain.errors import InputError
 
 YEARS = (1678, 2261)
-"""Years for which the sun's position is computed (the range of the library's time stamps)."""
+"""First and last year for which the sun's position is computed (the range of the library's time stamps)."""
 
 PRESSURE_PA, TEMPERATURE_C = 101325.0, 12.0
-"""Of the air that refraction is computed for."""
+"""The air's pressure and temperature for refraction."""
 
 
 @dataclass(frozen=True, eq=False)
 class SunPath:
-    """The sun at ``times`` (n,), datetime64[us] in UTC: azimuths clockwise from north and apparent altitudes, degrees (n,), and by
-    how much refraction lifts it there (0 well below the horizon).
+    """The sun's positions.
+
+    Attributes
+    ----------
+    times
+        (n,), datetime64[us] in UTC.
+    azimuth_deg
+        (n,), azimuths clockwise from north, in degrees.
+    altitude_deg
+        (n,), apparent altitudes in degrees.
+    lift_deg
+        (n,), refraction in degrees, which is included in ``altitude_deg``; 0 well below the horizon.
     """
 
     times: np.ndarray
@@ -33,13 +43,14 @@ class SunPath:
 
 
 def sun_path(times: Sequence[datetime] | np.ndarray, lon_deg: float, lat_deg: float) -> SunPath:
-    """The sun at times, aware ones or datetime64 in UTC, by NREL's solar position algorithm (Reda & Andreas 2004), at sea level.
+    """Return the sun's positions at times for an observer at sea level, by NREL's solar position algorithm (Reda & Andreas 2004).
 
-    Refraction is the algorithm's own, for 1013.25 hPa and 12 degrees Celsius. Raises ``InputError`` for years beyond ``YEARS``.
+    Times are aware datetimes, or datetime64 in UTC. Refraction is the algorithm's own, for 1013.25 hPa and 12 degrees Celsius.
+    Raises ``InputError`` for years beyond ``YEARS``.
     """
     moments = as_utc(times)
     check_times(moments)
-    import pandas  # with pvlib 0.8 s: paid only where a time is asked for
+    import pandas  # imported here: takes 0.8 s with pvlib, and only times need it
     from pvlib.solarposition import spa_python
 
     position = spa_python(
@@ -51,23 +62,23 @@ def sun_path(times: Sequence[datetime] | np.ndarray, lon_deg: float, lat_deg: fl
 
 
 def check_times(moments: np.ndarray) -> None:
-    """Raise ``InputError`` for times (datetime64, in UTC) that the sun's position is not computed for."""
+    """Raise ``InputError`` for times (datetime64 in UTC) outside of ``YEARS``."""
     first, last = (np.datetime64(f"{year}-01-01") for year in (YEARS[0], YEARS[1] + 1))
-    zones = np.timedelta64(1, "D")  # a year begins and ends in each zone at its own time
+    zones = np.timedelta64(1, "D")  # tolerance: each zone begins and ends a year at its own time
     for moment in moments[(moments < first - zones) | (moments >= last + zones)][:1]:
         raise InputError("time", str(moment.astype("datetime64[s]")), f"years {YEARS[0]} to {YEARS[1]}")
 
 
 def check_date(day: date, name: str = "date") -> None:
-    """Raise ``InputError`` for a date whose sun is not computed from its begin to its end in every zone."""
+    """Raise ``InputError`` for a date whose sun is not computed for the whole date in every zone."""
     if not YEARS[0] < day.year < YEARS[1]:
         raise InputError(name, day.isoformat(), f"years {YEARS[0] + 1} to {YEARS[1] - 1}")
 
 
 def as_utc(times: Sequence[datetime] | np.ndarray) -> np.ndarray:
-    """Times as datetime64[us] in UTC (n,)."""
+    """Return times as datetime64[us] in UTC (n,)."""
     if isinstance(times, np.ndarray):
         return times.astype("datetime64[us]")
     own = np.array([time.replace(tzinfo=None) for time in times], "datetime64[us]")
     offsets = np.array([time.utcoffset() or timedelta(0) for time in times], "timedelta64[us]")
-    return own - offsets  # ``astimezone`` leaves the years 1 to 9999
+    return own - offsets  # ``astimezone`` would leave the years 1 to 9999 and fail

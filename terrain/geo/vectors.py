@@ -1,4 +1,4 @@
-"""Points, lines and polygons from any vector file that GDAL reads, in the CRS they are wanted in."""
+"""Read points, lines and polygons from vector files with GDAL, in a requested CRS."""
 
 from __future__ import annotations
 
@@ -20,20 +20,22 @@ from skugga.terrain.level.data_files import check_geodata
 from skugga.terrain.level.linked_files import is_remote
 
 LONGEST_EDGE = {True: 0.01, False: 1000.0}
-"""Edges longer than this are divided before they are projected, since straight lines do not stay straight: degrees in
-geographic CRS, units in others. What is left of their bend is a few centimetres."""
+"""Maximum length of an edge when it is projected, by whether the CRS is geographic: degrees, else the CRS's units.
+
+Longer edges are divided first, since a projection bends straight lines. The remaining bend is a few centimetres.
+"""
 
 FARTHEST = {True: 540.0, False: 1e9}
-"""Coordinates beyond this are none: degrees in geographic CRS, units in others."""
+"""Maximum absolute value of a valid coordinate, by whether the CRS is geographic: degrees, else the CRS's units."""
 
 HIGHEST_LATITUDE = 90.0 + 1e-6
-"""Of degrees, as files round them."""
+"""Maximum latitude in degrees, with a tolerance for rounding in files."""
 
 MOST_COORDINATES = 50_000_000
-"""Points of a file's lines and outlines when long edges are divided: some gigabytes."""
+"""Maximum number of points of a file's lines and outlines after long edges are divided: some gigabytes."""
 
 MOST_CROSSINGS = 200_000
-"""Of the edges of a file's invalid polygons: mending them takes some ten seconds."""
+"""Maximum number of crossings of edges in a file's invalid polygons. Repairing so many takes some ten seconds."""
 
 _EDGES_AT_ONCE = 64
 
@@ -41,13 +43,13 @@ _POINT, _POLYGON = 0, 3  # shapely's type ids
 
 
 ONE_LAYER = (".geojson", ".shp", ".fgb")
-"""Suffixes of files of one layer: to list the layers of a large GeoJSON takes as long as to read it."""
+"""Suffixes of files with one layer. Listing the layers of a large GeoJSON takes as long as reading it."""
 
 FIRST_FEATURES, FIRST_LAYERS = 100, 100
-"""Features by which a layer's kind of geometry is told, and layers that are looked at."""
+"""Features that determine a layer's kind of geometry, and the maximum number of layers that are inspected."""
 
 HOLE_OUTSIDE = "Hole lies outside shell"
-"""What GEOS says of such a polygon, before the place."""
+"""GEOS's message for such a polygon, before the coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +61,15 @@ class Features:
     name
         The file.
     geometry
-        (n,) two-dimensional shapely geometries, none of them empty, polygons all valid.
+        (n,) two-dimensional shapely geometries. None is empty, and all polygons are valid.
     attributes
-        (n,) each of the attributes that were asked for.
+        (n,) values of each requested attribute, by name.
     number
-        int (n,), which feature of the layer each is, counted from 1.
+        int (n,), the number of each feature in the layer, from 1.
     count
-        Features of the layer, with those that were left out.
+        Number of features in the layer, omitted ones included.
     fid
-        int (n,), the identifiers that GDAL gives.
+        int (n,), GDAL's identifiers.
     """
 
     name: str
@@ -78,42 +80,50 @@ class Features:
     fid: np.ndarray
 
     def __getitem__(self, rows: np.ndarray) -> Features:
-        """Some of the features, or some of them several times."""
+        """Return some of the features. Indices may repeat."""
         attributes = {name: values[rows] for name, values in self.attributes.items()}
         return Features(self.name, self.geometry[rows], attributes, self.number[rows], self.count, self.fid[rows])
 
     def label(self, row: int | np.integer) -> str:
-        """A feature in words, with its identifier where that does not count from 0 or 1 as the features do."""
+        """Return a description of a feature, with its identifier if that does not count from 0 or 1."""
         number, fid = int(self.number[row]), int(self.fid[row])
         return f"feature {number} of {self.count}" + ("" if fid in (number, number - 1) else f" (fid {fid})")
 
     @property
     def dropped(self) -> int:
-        """Features that were left out for want of a geometry."""
+        """Number of features that were omitted because they have no geometry."""
         return self.count - len(np.unique(self.number))
 
 
 @dataclass(frozen=True)
 class VectorLayer:
-    """A layer of a file: its name (``None``: the only one), and the ``others`` that hold geometries of the same kind."""
+    """A layer of a file.
+
+    Attributes
+    ----------
+    name
+        The layer's name; ``None`` for the only layer.
+    others
+        The other layers with geometries of the same kind.
+    """
 
     name: str | None = None
     others: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is said of a layer that was chosen among several."""
+        """Statements on the choice of a layer among several."""
         if not self.others:
             return () if self.name is None else (f"layer '{self.name}'",)
-        return (f"layer '{self.name}', and not {', '.join(self.others)}; layer: names another one",)
+        return (f"layer '{self.name}', not {', '.join(self.others)} (the key layer selects another one)",)
 
 
 def vector_layer(
     source: str, dimensions: Sequence[int], name: str | None = None, has: Callable[[tuple[str, ...]], bool] | None = None
 ) -> VectorLayer:
-    """Return the layer of a name, or else the first with geometries of some dimensions (0: points, 1: lines, 2: polygons).
+    """Return the layer of a name, or else the first layer with geometries of some dimensions (0: points, 1: lines, 2: polygons).
 
-    Of several such layers it is the first whose attributes ``has`` is content with. Raises ``SourceError``.
+    Among several such layers it is the first whose attributes ``has`` accepts. Raises ``SourceError``.
     """
     check_geodata(source)
     if name is None and source.lower().endswith(ONE_LAYER):
@@ -124,13 +134,14 @@ def vector_layer(
         names = [str(row[0]) for row in pyogrio.list_layers(source)]
         if name is not None:
             if name not in names:
-                raise SourceError(source, f"no layer '{name}'", f"one of {', '.join(names)}" if names else "a file with layers")
+                remedy = f"Use one of {', '.join(names)}" if names else "Use a file with layers"
+                raise SourceError(source, f"no layer '{name}'", remedy)
             return VectorLayer(name)
         if len(names) < 2:
             return VectorLayer()
         held = {each: _dimensions_of(source, each) for each in names[:FIRST_LAYERS]}
     fitting = [each for each in held if held[each] & set(dimensions)]
-    if not fitting:  # what is there instead is for the reader to say
+    if not fitting:  # reading the layer reports its geometries
         return VectorLayer(next((each for each in held if held[each]), names[0]))
     chosen = fitting[0]
     if has is not None and len(fitting) > 1:
@@ -139,7 +150,7 @@ def vector_layer(
 
 
 def _dimensions_of(source: str, layer: str) -> set[int]:
-    """The dimensions of the first geometries of a layer; empty where it has none."""
+    """Return the dimensions of a layer's first geometries; empty if it has none."""
     import pyogrio
 
     _, _, wkb, _ = pyogrio.raw.read(source, layer=layer, columns=[], force_2d=True, max_features=FIRST_FEATURES)
@@ -150,60 +161,77 @@ def _dimensions_of(source: str, layer: str) -> set[int]:
 def read_features(
     source: str, crs: CRS, attributes: Sequence[str] = (), usual: Sequence[str] = (), layer: VectorLayer | None = None
 ) -> Features:
-    """Read a layer of a vector file (the first) into ``crs``, x before y, with some of its attributes, and ``usual`` ones it has.
+    """Read a layer of a vector file into ``crs``, with x before y.
 
-    Times are text in ISO 8601. Where ``crs`` is an engineering CRS, files in another one of its unit, or in none, are taken to be
-    in it.
+    Times are text in ISO 8601. If ``crs`` is an engineering CRS, files without a CRS or in another engineering CRS with the same
+    unit count as files in ``crs``.
 
-    Raises ``SourceError`` where the file is missing, no vector file, without features or a CRS, lacks an attribute, or has
-    geometries that are damaged or cannot be transformed: it names the feature.
+    Parameters
+    ----------
+    source
+        The file.
+    crs
+        The CRS of the result.
+    attributes
+        Names of attributes that the layer must have.
+    usual
+        Names of attributes that are read if the layer has them.
+    layer
+        The layer. Default: the first one.
+
+    Raises
+    ------
+    SourceError
+        The file is missing, is no vector file, or has no features or no CRS. Or it lacks an attribute. Or it has geometries that
+        are damaged or cannot be transformed; the error names the feature.
     """
     check_geodata(source)
-    import pyogrio  # here: where pandas is installed it imports that, half a second of every start
+    import pyogrio  # imported here: it imports pandas if that is installed, which takes 0.5 s
     from pyogrio.errors import DataLayerError, DataSourceError
 
     wanted, named = list(dict.fromkeys([*attributes, *usual])), 0 if layer is None or layer.name is None else layer.name
     try:
         with _quiet():
-            # Without a look at its attributes first: large GeoJSON is read from end to end whatever is asked.
+            # Attributes are not checked first, since any query reads a large GeoJSON from end to end.
             meta, fid, wkb, columns = pyogrio.raw.read(
                 source, layer=named, columns=wanted, force_2d=True, return_fids=True, datetime_as_string=True
             )
             geometry = shapely.from_wkb(wkb if wkb is not None else np.empty(0, object), on_invalid="ignore")
     except (DataSourceError, DataLayerError, shapely.errors.GEOSException, ValueError) as error:
-        attribute_names(source, named)  # says it better where there is no such file, or no vectors in it
-        raise SourceError(source, _reason(error, source), "an undamaged vector file") from None
+        attribute_names(source, named)  # raises a clearer error if the file is missing or has no vectors
+        raise SourceError(source, _reason(error, source), "Use an undamaged vector file") from None
     for name in attributes:
         if name not in meta["fields"]:
             known = attribute_names(source, named)
-            raise SourceError(source, f"no attribute '{name}'", f"one of {', '.join(known)}" if known else "a file with attributes")
+            remedy = f"Use one of {', '.join(known)}" if known else "Use a file with attributes"
+            raise SourceError(source, f"no attribute '{name}'", remedy)
     values = dict(zip(meta["fields"], columns, strict=True))
     features = Features(source, geometry, values, np.arange(1, len(geometry) + 1), len(geometry), fid)
     missing = shapely.is_missing(geometry)
     for row in np.flatnonzero(missing):
         if wkb[row] is not None:
-            raise SourceError(source, f"{features.label(row)}: {_damage(wkb[row])}", "undamaged geometries")
+            raise SourceError(source, f"{features.label(row)}: {_damage(wkb[row])}", "Use undamaged geometries")
     geometry[missing] = shapely.Point()
     if shapely.is_empty(geometry).all():
-        raise SourceError(source, "no feature with a geometry", "points or polygons")
+        raise SourceError(source, "no feature with a geometry", "Use points or polygons")
     own = _crs(source, meta["crs"], crs)
     axes = axes_of(own)
     if not axes.are_standard:
         geometry[:] = shapely.transform(geometry, axes.xy, interleaved=False)
     _check_places(features, own, crs, *shapely.get_coordinates(geometry, return_index=True))
     _check_holes(features)
-    # Mended before, since long edges are divided rightly in valid polygons alone, and after, since a projection may fold them.
+    # Repaired before the projection, since only valid polygons are divided correctly, and after it, since it may fold them.
     geometry[:] = _mended(source, geometry)
     if not same_coordinates(own, crs):
         geometry[:] = _mended(source, _projected(features, own, crs))
     kept = np.flatnonzero(~shapely.is_empty(geometry))
     if not len(kept):
-        raise SourceError(source, "only polygons without an area", "points or polygons")
+        raise SourceError(source, "only polygons without an area", "Use points or polygons with an area")
     return features[kept]
 
 
 def attribute_names(source: str, layer: str | int = 0) -> tuple[str, ...]:
-    """Names of the attributes of a layer of a vector file. Raises ``SourceError``."""
+    """Return the names of the attributes of a layer of a vector file. Raises ``SourceError``."""
     check_geodata(source)
     with _opened(source):
         import pyogrio
@@ -212,9 +240,10 @@ def attribute_names(source: str, layer: str | int = 0) -> tuple[str, ...]:
 
 
 def numbers(features: Features, attribute: str, number_of: Callable[[str], float] = float) -> np.ndarray:
-    """An attribute as float64 (n,), NaN where it is not given; ``number_of`` reads text, and raises ``ValueError``.
+    """Return an attribute as float64 (n,), NaN where it is missing.
 
-    Raises ``SourceError``, which names the feature, where it holds text that is no number.
+    ``number_of`` parses text and raises ``ValueError``. Raises ``SourceError``, which names the feature, for text that is no
+    number.
     """
     values = features.attributes[attribute]
     if values.dtype.kind in "iufb":
@@ -226,21 +255,25 @@ def numbers(features: Features, attribute: str, number_of: Callable[[str], float
         try:
             result[row] = number_of(value) if isinstance(value, str) else float(value)
         except (TypeError, ValueError):
-            said = f"{attribute} = {value} at {features.label(row)}"
-            raise SourceError(features.name, said, f"numbers in the attribute '{attribute}'") from None
+            said = f"{attribute} = {value} at {features.label(row)} is no number"
+            raise SourceError(features.name, said, f"Use numbers in the attribute '{attribute}'") from None
     return result
 
 
 def between(source: str, own: CRS, crs: CRS, back: bool = False) -> Transformer | AxesTransformer:
-    """The transformation from a file's own CRS to another one, or ``back``. Raises ``SourceError`` where there is none."""
+    """Return the transformation from a file's CRS to another one, or the reverse one with ``back``.
+
+    Raises ``SourceError`` if none exists.
+    """
     try:
         return transformer(crs, own) if back else transformer(own, crs)
     except ProjError:
-        raise SourceError(source, f"its CRS '{own.name}'", f"a CRS that can be transformed into '{crs.name}'") from None
+        said = f"its CRS '{own.name}' cannot be transformed into '{crs.name}'"
+        raise SourceError(source, said, "Use a file in another CRS") from None
 
 
 def same_coordinates(own: CRS, crs: CRS) -> bool:
-    """Whether coordinates mean the same in both, x before y: engineering CRS of one unit count from one origin."""
+    """Return whether coordinates have the same meaning in both CRSs, x before y. Engineering CRSs of one unit share one origin."""
     if own.is_engineering and crs.is_engineering:
         return own.axis_info[0].unit_conversion_factor == crs.axis_info[0].unit_conversion_factor
     return own.equals(crs, ignore_axis_order=True)
@@ -251,11 +284,11 @@ def _crs(source: str, text: str | None, wanted: CRS) -> CRS:
         if text:
             return CRS.from_user_input(text)
     except CRSError:
-        raise SourceError(source, "a CRS that PROJ does not understand", "a vector file with a CRS") from None
+        raise SourceError(source, "a CRS that PROJ does not understand", "Use a vector file with a CRS that PROJ knows") from None
     if wanted.is_engineering:
         return wanted
     beside = " (its .prj file is missing)" if source.lower().endswith(".shp") else ""
-    raise SourceError(source, f"no coordinate reference system{beside}", "a vector file with a CRS")
+    raise SourceError(source, f"no coordinate reference system{beside}", "Use a vector file with a CRS")
 
 
 def _projected(features: Features, own: CRS, crs: CRS) -> np.ndarray:
@@ -267,14 +300,14 @@ def _projected(features: Features, own: CRS, crs: CRS) -> np.ndarray:
     after = np.column_stack(between(source, own, crs).transform(before[:, 0], before[:, 1]))
     _check_places(features, own, crs, before, index, after)
     if len(before) == len(geometry) and (shapely.get_type_id(geometry) == _POINT).all():
-        return shapely.points(after)  # a million points in a fifth of the time
+        return shapely.points(after)  # five times as fast as ``set_coordinates``
     return shapely.set_coordinates(geometry, after)
 
 
 def _check_places(
     features: Features, own: CRS, crs: CRS, before: np.ndarray, index: np.ndarray, after: np.ndarray | None = None
 ) -> None:
-    """Raise ``SourceError`` where coordinates, each of the feature at its ``index``, have no place in a CRS."""
+    """Raise ``SourceError`` for coordinates that have no position in a CRS. ``index`` is the feature of each."""
     in_degrees = own.is_geographic and own.axis_info[0].unit_name == "degree"
     farthest = FARTHEST[own.is_geographic], HIGHEST_LATITUDE if in_degrees else FARTHEST[own.is_geographic]
     known = np.abs(before) <= farthest if after is None else np.isfinite(after)
@@ -282,20 +315,22 @@ def _check_places(
     if len(bad):
         place = ", ".join(f"{v:.10g}" for v in before[bad[0]])
         raise SourceError(
-            features.name, f"{features.label(index[bad[0]])}: the coordinates {place}",
-            f"coordinates of '{own.name}' that can be transformed into '{crs.name}'",
+            features.name,
+            f"{features.label(index[bad[0]])}: the coordinates {place} of '{own.name}' cannot be transformed into '{crs.name}'",
+            "Correct the coordinates or the file's CRS",
         )  # fmt: skip
 
 
 def check_divided(source: str, geometry: np.ndarray, longest: float) -> None:
-    """Raise ``SourceError`` for lines and outlines that are too many points when edges longer than ``longest`` are divided."""
+    """Raise ``SourceError`` for lines and outlines with too many points after edges longer than ``longest`` are divided."""
     count = float(np.sum(shapely.get_num_coordinates(geometry) + np.ceil(shapely.length(geometry) / longest)))
     if count > MOST_COORDINATES:
-        raise SourceError(source, f"lines of {count:.3g} points {longest:g} units apart", f"at most {MOST_COORDINATES:.3g}")
+        given, limit = f"lines of {count:.3g} points {longest:g} units apart", f"{MOST_COORDINATES:.3g}"
+        raise SourceError.over_limit(source, given, limit, "Use shorter lines")
 
 
 def _check_crossings(source: str, polygons: np.ndarray) -> None:
-    """Raise ``SourceError`` for polygons whose edges cross too often: mending takes time for each crossing."""
+    """Raise ``SourceError`` for polygons whose edges cross too often. Repairing takes time for each crossing."""
     count = 0
     for polygon in polygons:
         xy, ring = shapely.get_coordinates(shapely.get_rings(shapely.get_parts(polygon)), return_index=True)
@@ -305,26 +340,29 @@ def _check_crossings(source: str, polygons: np.ndarray) -> None:
         for first in range(0, len(edges), _EDGES_AT_ONCE):
             count += tree.query(edges[first : first + _EDGES_AT_ONCE], predicate="crosses").shape[1] / 2
             if count > MOST_CROSSINGS:
-                raise SourceError(source, f"polygons that cross themselves more than {MOST_CROSSINGS} times", "valid polygons")
+                said = f"polygons that cross themselves more than {MOST_CROSSINGS} times"
+                raise SourceError(source, said, "Use valid polygons")
 
 
 def _check_holes(features: Features) -> None:
-    """Raise ``SourceError`` for a polygon with a hole that does not lie in it: mended, it would be a second polygon."""
+    """Raise ``SourceError`` for a polygon with a hole outside of it. Repairing would turn the hole into a second polygon."""
     invalid = np.flatnonzero((shapely.get_dimensions(features.geometry) == 2) & ~shapely.is_valid(features.geometry))
     for row, reason in zip(invalid, shapely.is_valid_reason(features.geometry[invalid]), strict=True):
         if reason.startswith(HOLE_OUTSIDE):
             place = ", ".join(reason.removeprefix(HOLE_OUTSIDE).strip("[]").split())
             said = f"{features.label(row)}: a hole outside of its polygon, at {place}"
-            raise SourceError(features.name, said, "holes within their polygons; of several buildings a multi-polygon")
+            raise SourceError(
+                features.name, said, "Keep holes within their polygons, and use a multi-polygon for several buildings"
+            )
 
 
 def _mended(source: str, geometry: np.ndarray) -> np.ndarray:
-    """Geometries with invalid polygons made valid; empty where no area is left of them. Raises ``SourceError``."""
+    """Return geometries with invalid polygons repaired; empty where no area is left. Raises ``SourceError``."""
     with_area = shapely.get_dimensions(geometry) == 2
     invalid = np.flatnonzero(with_area & ~shapely.is_valid(geometry))
     _check_crossings(source, geometry[invalid])
     for i in invalid:
-        # By its structure: by lines alone it takes a hundred times as long where a polygon crosses itself often.
+        # The method "linework" takes a hundred times as long for polygons with many crossings.
         whole = shapely.make_valid(geometry[i], method="structure", keep_collapsed=False)
         parts = shapely.get_parts(shapely.get_parts(whole))  # of a collection's multi-polygons
         geometry[i] = shapely.union_all(parts[shapely.get_type_id(parts) == _POLYGON])
@@ -333,7 +371,7 @@ def _mended(source: str, geometry: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without GDAL's remarks on a file: what matters comes as an error."""
+    """Suppress GDAL's warnings on a file. Problems that matter are raised as errors."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         yield
@@ -341,22 +379,22 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _opened(source: str) -> Iterator[None]:
-    """What GDAL raises about a file as one ``SourceError``."""
+    """Turn GDAL's errors on a file into one ``SourceError``."""
     from pyogrio.errors import DataLayerError, DataSourceError
 
     if not is_remote(source) and not Path(source).exists():
-        raise SourceError(source, "no such file", "a vector file that GDAL reads")
+        raise SourceError(source, "no such file", "Use a vector file that GDAL reads")
     try:
         with _quiet():
             yield
     except DataLayerError:
-        raise SourceError(source, "no layer", "a vector file with features") from None
+        raise SourceError(source, "no layer", "Use a vector file with features") from None
     except (DataSourceError, UnicodeDecodeError) as error:
-        raise SourceError(source, _reason(error, source), "a vector file that GDAL reads") from None
+        raise SourceError(source, _reason(error, source), "Use a vector file that GDAL reads") from None
 
 
 def _damage(wkb: bytes) -> str:
-    """What is wrong with a geometry that is none."""
+    """Return the damage of a geometry that cannot be parsed."""
     try:
         shapely.from_wkb(wkb)
     except shapely.errors.GEOSException as error:
@@ -365,6 +403,6 @@ def _damage(wkb: bytes) -> str:
 
 
 def _reason(error: Exception, source: str) -> str:
-    """What GDAL says, without its lists of drivers and the path once more."""
+    """Return GDAL's message without its lists of drivers and without the path."""
     text = str(error).split(";")[0].replace(f"'{source}'", "the file").replace(source, "the file").strip().rstrip(".")
     return text or "it cannot be opened"

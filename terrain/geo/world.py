@@ -1,9 +1,12 @@
-"""The earth-fixed space, its local frames, and where a map's coordinates lie in them. All in float64.
+"""The earth-fixed space, its local frames, and the positions of map coordinates in them. All in float64.
 
-On the globe, earth-fixed coordinates are geocentric metres on the WGS 84 ellipsoid (EPSG:4978), so the earth's
-curvature bends every vertex without further ado. On another celestial body they are geocentric on its own ellipsoid. In a
-flat world (an engineering CRS) they are east, north, up metres from the anchor. Heights above sea level are taken as heights
-above the ellipsoid: the geoid's slope, under 0.1 m a kilometre, is far below what any raster's heights are good for.
+- On the globe, earth-fixed coordinates are geocentric metres on the WGS 84 ellipsoid (EPSG:4978). The earth's curvature is thus
+  part of every vertex.
+- On another celestial body they are geocentric on its own ellipsoid.
+- In a flat world (an engineering CRS) they are east, north and up in metres from the anchor.
+
+Heights above sea level count as heights above the ellipsoid. The slope of the geoid, below 0.1 m per km, is far below the accuracy
+of any raster's heights.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ WGS84 = Geod(ellps="WGS84")
 LONGITUDE_LATITUDE = CRS.from_user_input("OGC:CRS84")
 
 FRAME_PITCH_DEG = 0.25
-"""Spacing of frame origins on the globe: a frame's points lie within about 20 km, where a float32 step is 1 to 2 mm."""
+"""Spacing of frame origins on the globe. A frame's points lie within about 20 km, where a float32 step is 1 to 2 mm."""
 
 EARTH_RADIUS_M = 6_371_000.0
 
@@ -34,36 +37,39 @@ FRAME_PITCH_M = 16384.0
 """Spacing of frame origins in a flat world."""
 
 TRANSFORMER_BYTES = 2**16
-"""About what PROJ holds of a transformation."""
+"""Approximate size of a PROJ transformation in memory."""
 
 
 def _identity(*crss: CRS) -> tuple[IdentityKey, ...]:
-    """CRSs as keys: they are written out to be hashed, which takes longer than most of what is looked up by them."""
+    """Return a cache key that compares CRSs by identity.
+
+    Hashing a CRS by value serialises it, which takes longer than most cached computations.
+    """
     return tuple(map(IdentityKey, crss))
 
 
 class AxesTransformer:
-    """A transformation between CRSs, one of axes of its own (``skugga.terrain.geo.axes``): x to the east before y to the north."""
+    """A transformation between two CRSs where one has non-standard axes (``skugga.terrain.geo.axes``). x runs east, y north."""
 
     def __init__(self, stored: Transformer, source: Axes, target: Axes) -> None:
         self._stored, self._source, self._target = stored, source, target
 
     def transform(self, x: float | np.ndarray, y: float | np.ndarray) -> tuple[Any, Any]:
-        """x and y in the target of x and y in the source; infinite where there are none."""
+        """Transform x and y from the source CRS to the target CRS. Points outside of the target's area become infinite."""
         first, second = self._stored.transform(*self._source.stored(x, y))
         return self._target.xy(first, second)
 
     def transform_bounds(self, left: float, bottom: float, right: float, top: float, densify_pts: int = 21) -> Bounds:
-        """West, south, east, north in the target of those in the source, as ``pyproj`` finds them."""
+        """Transform bounds (west, south, east, north) from the source CRS to the target CRS, as ``pyproj`` does."""
         stored = self._source.bounds_stored((left, bottom, right, top))
         return self._target.bounds_xy(self._stored.transform_bounds(*stored, densify_pts=densify_pts))
 
 
 @cached("process", 8 * MIB, key=_identity, size_of=lambda _: TRANSFORMER_BYTES)
 def transformer(source: CRS, target: CRS) -> Transformer | AxesTransformer:
-    """A cached coordinate transformation, x to the east before y to the north, in degrees where they are angles.
+    """Return a cached transformation between two CRSs, with x to the east and y to the north, and angles in degrees.
 
-    ``LONGITUDE_LATITUDE`` are those of the celestial body of the other CRS. Raises ``ProjError`` where there is none.
+    ``LONGITUDE_LATITUDE`` stands for those of the other CRS's celestial body. Raises ``ProjError`` where no transformation exists.
     """
     if source is LONGITUDE_LATITUDE:
         source = longitude_latitude_of(target)
@@ -76,7 +82,7 @@ def transformer(source: CRS, target: CRS) -> Transformer | AxesTransformer:
 
 @cached("process", MIB, key=_identity, size_of=lambda _: 256)
 def ellipsoid_of(crs: CRS) -> Geod:
-    """The ellipsoid on which a CRS's ground is computed: WGS 84, or that of another celestial body."""
+    """Return the ellipsoid of a CRS's ground: WGS 84, or that of another celestial body."""
     own = crs.ellipsoid
     if own is None or abs(own.semi_major_metre / EARTHS_AXIS_M - 1.0) < LIKE_EARTH:
         return WGS84
@@ -84,13 +90,13 @@ def ellipsoid_of(crs: CRS) -> Geod:
 
 
 def is_on_earth(crs: CRS) -> bool:
-    """Whether a CRS is one of the earth, and not of another celestial body."""
+    """Return whether a CRS is one of the earth, not of another celestial body."""
     return ellipsoid_of(crs) is WGS84
 
 
 @cached("process", MIB, key=_identity, size_of=lambda _: TRANSFORMER_BYTES)
 def longitude_latitude_of(crs: CRS) -> CRS:
-    """Longitude, to the east, and latitude in degrees on the celestial body of a CRS."""
+    """Return the CRS of longitude (east) and latitude in degrees on a CRS's celestial body."""
     if is_on_earth(crs) or crs.geodetic_crs is None:
         return LONGITUDE_LATITUDE
     own = crs.geodetic_crs.to_json_dict()
@@ -106,12 +112,12 @@ def longitude_latitude_of(crs: CRS) -> CRS:
 
 @cached("process", MIB, key=_identity, size_of=lambda _: 256)
 def epsg_of(crs: CRS) -> int | None:
-    """A CRS's EPSG code, if it has one: kept, since looking for one in vain takes PROJ 0.2 s."""
+    """Return a CRS's EPSG code, or ``None``. Cached, since a search without result takes PROJ 0.2 s."""
     return crs.to_epsg()
 
 
 def is_longitude_latitude(crs: CRS) -> bool:
-    """Whether x and y of a CRS are longitudes and latitudes of WGS 84."""
+    """Return whether x and y of a CRS are longitudes and latitudes of WGS 84."""
     return crs == LONGITUDE_LATITUDE or epsg_of(crs) == 4326
 
 
@@ -119,7 +125,16 @@ def is_longitude_latitude(crs: CRS) -> bool:
 class LocalFrame:
     """A local metric east-north-up frame: ``point_frame = frame_from_earth @ (point_earth - origin_earth_m)``.
 
-    What the methods take and give are vectors (..., 3), points in metres.
+    Methods take and return vectors (..., 3); points are in metres.
+
+    Attributes
+    ----------
+    key
+        Index of the frame in its lattice.
+    origin_earth_m
+        (3,), the earth-fixed origin in metres.
+    frame_from_earth
+        (3, 3), the rotation from earth-fixed axes to the frame's.
     """
 
     key: tuple[int, int]
@@ -127,28 +142,39 @@ class LocalFrame:
     frame_from_earth: np.ndarray
 
     def points_from_earth(self, point_earth_m: np.ndarray) -> np.ndarray:
-        """Frame points of earth-fixed ones."""
+        """Return the frame points of earth-fixed points."""
         return (point_earth_m - self.origin_earth_m) @ self.frame_from_earth.T
 
     def points_to_earth(self, point_frame_m: np.ndarray) -> np.ndarray:
-        """Earth-fixed points of the frame's."""
+        """Return the earth-fixed points of frame points."""
         return point_frame_m @ self.frame_from_earth + self.origin_earth_m
 
     def directions_from_earth(self, direction_earth: np.ndarray) -> np.ndarray:
-        """Directions in the frame of earth-fixed ones."""
+        """Return the frame directions of earth-fixed directions."""
         return direction_earth @ self.frame_from_earth.T
 
     def directions_to_earth(self, direction_frame: np.ndarray) -> np.ndarray:
-        """Earth-fixed directions of the frame's."""
+        """Return the earth-fixed directions of frame directions."""
         return direction_frame @ self.frame_from_earth
 
 
 @dataclass(frozen=True)
 class World:
-    """The space a level lives in.
+    """The space of a level.
 
-    ``crs`` is the elevation source's. The anchor is the centre of the level's bounds: everything that lies on a lattice
-    (frames, texels, map samples outside tile matrices) is counted from it.
+    Attributes
+    ----------
+    crs
+        The CRS of the elevation source.
+    flat
+        Whether it is a flat world (an engineering CRS).
+    anchor_x, anchor_y
+        The anchor in ``crs``: the centre of the level's bounds. All lattices (frames, texels, map samples outside tile matrices)
+        are counted from it.
+    anchor_lon_deg, anchor_lat_deg
+        The anchor's longitude and latitude; 0 in a flat world.
+    metres_per_unit
+        Metres per unit of ``crs``; 1 for a geographic CRS.
     """
 
     crs: CRS
@@ -164,33 +190,32 @@ class World:
 
     @cached_property
     def ellipsoid(self) -> Geod:
-        """The ellipsoid that earth-fixed points are counted from: WGS 84, or that of another celestial body."""
+        """The ellipsoid of earth-fixed points: WGS 84, or that of another celestial body."""
         return ellipsoid_of(self.crs)
 
     @property
     def radius_m(self) -> float:
-        """The mean radius of the earth, or of the celestial body, metres."""
+        """The mean radius of the earth, or of the celestial body, in metres."""
         if self.on_earth:
             return EARTH_RADIUS_M
         return float(2.0 * self.ellipsoid.a + self.ellipsoid.b) / 3.0
 
     @property
     def on_earth(self) -> bool:
-        """Whether it is the earth, or ground that lies nowhere; and not another celestial body."""
+        """Whether the ground is on the earth or in a flat world, not on another celestial body."""
         return self.flat or self.ellipsoid is WGS84
 
     @property
     def off_earth(self) -> str | None:
-        """Why it is no ground of the earth, where times have suns and tiles lie; ``None`` on the earth."""
+        """The reason why the ground is not georeferenced on the earth; ``None`` on the earth. Dates and tiles need the earth."""
         if self.flat:
             return "an engineering CRS is not georeferenced"
         return None if self.on_earth else f"'{self.crs.name}' is not a CRS of the earth"
 
     def ground(self, crs: CRS, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Earth-fixed points (..., 3) of height 0 and the unit vectors up there, for map coordinates in ``crs``.
+        """Return earth-fixed points (..., 3) of height 0 and the unit vectors up there, for map coordinates in ``crs``.
 
-        Raises ``UnsupportedError`` where a flat world is asked for in another CRS. Coordinates that the CRS cannot
-        transform give NaN.
+        Coordinates that the CRS cannot transform give NaN. Raises ``UnsupportedError`` for another CRS than a flat world's own.
         """
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         if self.flat:
@@ -202,7 +227,7 @@ class World:
         return geocentric(*self.lon_lat(crs, x, y), self.ellipsoid)
 
     def lon_lat(self, crs: CRS, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Longitude and latitude in degrees; NaN where the CRS has none. Longitudes of WGS 84 pass through unwrapped."""
+        """Return longitude and latitude in degrees; NaN where the CRS has none. Longitudes of WGS 84 are not wrapped."""
         if is_longitude_latitude(crs):
             return np.asarray(x, np.float64), np.asarray(y, np.float64)
         lon, lat = transformer(crs, LONGITUDE_LATITUDE).transform(x, y)
@@ -210,9 +235,9 @@ class World:
         return np.where(bad, np.nan, lon), np.where(bad, np.nan, lat)
 
     def earth_from_enu(self, point_earth: np.ndarray, up_earth: np.ndarray, polar_lon_deg: float = 0.0) -> np.ndarray:
-        """Rotation (3, 3) whose columns are east, north and up at a point, earth-fixed.
+        """Return the rotation (3, 3) whose columns are east, north and up at an earth-fixed point.
 
-        At a pole, where east is undefined, the axes of a meridian are taken: Greenwich's, unless another one is given.
+        At a pole, where east is undefined, it uses the axes of the meridian ``polar_lon_deg``, by default Greenwich's.
         """
         if self.flat:
             return np.eye(3)
@@ -223,17 +248,17 @@ class World:
 
     @property
     def anchor_earth_m(self) -> np.ndarray:
-        """The anchor at height 0, earth-fixed."""
+        """The anchor at height 0, earth-fixed (3,), in metres."""
         return self._anchor[0]
 
     def anchor_from_frame(self, frame: LocalFrame) -> tuple[np.ndarray, np.ndarray]:
-        """Rotation (3, 3) from a frame to the anchor's east-north-up axes, and the frame's origin (3,) there, metres."""
+        """Return the rotation (3, 3) and the origin (3,) in metres of a frame in the anchor's east-north-up axes."""
         anchor_from_earth = self.earth_from_anchor.T
         return anchor_from_earth @ frame.frame_from_earth.T, anchor_from_earth @ (frame.origin_earth_m - self.anchor_earth_m)
 
     @property
     def earth_from_anchor(self) -> np.ndarray:
-        """Rotation from the anchor's east-north-up axes to earth-fixed ones; at a pole those of the anchor's longitude."""
+        """Rotation (3, 3) from the anchor's east-north-up axes to earth-fixed axes. At a pole it uses the anchor's longitude."""
         return self.earth_from_enu(*self._anchor, self.anchor_lon_deg)
 
     @property
@@ -243,17 +268,17 @@ class World:
         return geocentric(np.float64(self.anchor_lon_deg), np.float64(self.anchor_lat_deg), self.ellipsoid)
 
     def frame_near(self, crs: CRS, x: float, y: float) -> LocalFrame:
-        """The frame of the lattice whose origin is nearest to a map coordinate. The lattice is counted from the anchor."""
+        """Return the lattice's frame whose origin is nearest to a map coordinate. The lattice is counted from the anchor."""
         if self.flat:
             point, _ = self.ground(crs, np.float64(x), np.float64(y))
             return self._flat_frame(point, FRAME_PITCH_M)
         lon, lat = (float(v) for v in self.lon_lat(crs, np.float64(x), np.float64(y)))
         if not np.isfinite(lon + lat):
-            raise UnsupportedError("view", f"{x}, {y}", f"outside of the area of '{crs.name}'")
+            raise UnsupportedError("view", f"{x}, {y}", f"the point lies outside of the area of '{crs.name}'")
         return self._globe_frame(lon, lat, FRAME_PITCH_DEG)
 
     def frame_near_earth(self, point_earth_m: np.ndarray, pitch_share: float = 1.0) -> LocalFrame:
-        """The frame nearest to an earth-fixed point, of a lattice whose pitch is a share of the maps'."""
+        """Return the frame nearest to an earth-fixed point, of a lattice with ``pitch_share`` of the maps' pitch."""
         if self.flat:
             return self._flat_frame(point_earth_m, FRAME_PITCH_M * pitch_share)
         lon, lat, _ = geodetic(point_earth_m, self.ellipsoid)
@@ -273,7 +298,7 @@ class World:
         return float(max(np.cos(np.radians(self.anchor_lat_deg)), 0.01))
 
     def map_position(self, crs: CRS, point_earth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """x, y in a CRS and height in metres of earth-fixed points (..., 3). Raises ``UnsupportedError`` as ``ground``."""
+        """Return x, y in a CRS and height in metres of earth-fixed points (..., 3). Raises ``UnsupportedError`` like ``ground``."""
         if self.flat:
             if crs != self.crs:
                 raise UnsupportedError("crs", crs.name, f"the level's engineering CRS '{self.crs.name}' cannot be transformed")
@@ -289,18 +314,18 @@ class World:
         return np.asarray(lon), np.asarray(lat), height
 
     def up_from(self, frame: LocalFrame) -> np.ndarray:
-        """The frame point (3,) that "up" points away from: the earth's centre, or one far below a flat world."""
+        """Return the frame point (3,) from which "up" points away: the earth's centre, or a point far below a flat world."""
         return np.array([0.0, 0.0, -1e12]) if self.flat else frame.points_from_earth(np.zeros(3))
 
     @property
     def curvature(self) -> float:
-        """How much "up" leans per metre away from a frame's origin: 0 in a flat world."""
+        """Change of "up" per metre away from a frame's origin, in radians; 0 in a flat world."""
         return 0.0 if self.flat else 1.0 / self.radius_m
 
 
 @cached("process", MIB)
 def _frame(world: World, i: int, j: int, pitch: float) -> LocalFrame:
-    """A frame of the lattice; kept, so that what is made for a frame can be kept by it."""
+    """Return a frame of the lattice. Cached, so that caches may compare frames by identity."""
     if world.flat:
         return LocalFrame((i, j), np.array([i * pitch, j * pitch, 0.0]), np.eye(3))
     lon = world.anchor_lon_deg + i * pitch / world._narrowing
@@ -309,16 +334,16 @@ def _frame(world: World, i: int, j: int, pitch: float) -> LocalFrame:
 
 
 def direction_east(lon_deg: float) -> np.ndarray:
-    """Unit vector (3,) towards the east on a meridian, earth-fixed."""
+    """Return the earth-fixed unit vector (3,) towards the east on a meridian."""
     lon = np.radians(lon_deg)
     return np.array([-np.sin(lon), np.cos(lon), 0.0])
 
 
 def geocentric(lon_deg: float | np.ndarray, lat_deg: float | np.ndarray, ellipsoid: Geod = WGS84) -> tuple[np.ndarray, np.ndarray]:
-    """Geocentric points (..., 3) in metres on an ellipsoid and the unit normals there.
+    """Return geocentric points (..., 3) in metres on an ellipsoid, and the unit normals there.
 
-    Source: EPSG Guidance Note 7-2, section 4.1.1 (geographic/geocentric conversions). Latitudes beyond 90 degrees
-    continue over the pole, so that an interpolation across it stays smooth.
+    Source: EPSG Guidance Note 7-2, section 4.1.1 (geographic/geocentric conversions). Latitudes beyond 90 degrees continue over the
+    pole, so that an interpolation across it stays smooth.
     """
     lon, lat = np.radians(lon_deg), np.radians(lat_deg)
     up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
@@ -327,7 +352,7 @@ def geocentric(lon_deg: float | np.ndarray, lat_deg: float | np.ndarray, ellipso
 
 
 def geodetic(point_earth_m: np.ndarray, ellipsoid: Geod = WGS84) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Longitude and latitude in degrees and ellipsoidal height in metres of geocentric points (..., 3).
+    """Return longitude and latitude in degrees and ellipsoidal height in metres of geocentric points (..., 3).
 
     By PROJ (EPSG Guidance Note 7-2, section 4.1.1).
     """
