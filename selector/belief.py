@@ -1,10 +1,12 @@
-"""What is believed of candidates' errors or times before and after some were tried: distributions of logarithms. Arithmetic.
+"""Estimate errors or times of candidates from models and trials: Gaussian process regression on logarithms.
 
-How far a real value is off the expected one has three parts: one that all candidates of a view share, one that those of a family
-of algorithms share, and one of a candidate's own. So a trial of one candidate tells of the others too: much of those of its
-family, and something of all. That is a normal prior, updated by one observation after the other (C. Rasmussen and C. Williams,
-Gaussian Processes for Machine Learning, 2006, equations 2.25 and 2.26). Chances are taken from the logistic distribution of the
-same mean and standard deviation, whose tails are longer: models are more often far off than normal ones would be.
+The difference between a real value and the expected one has three parts. One is common to all candidates of a view, one to a family
+of algorithms, and one belongs to a single candidate. So a trial of one candidate also corrects the others: its family much, the
+rest a little. The prior is multivariate normal, and each observation updates it (C. Rasmussen and C. Williams, Gaussian Processes
+for Machine Learning, 2006, equations 2.25 and 2.26).
+
+Probabilities come from the logistic distribution with the same mean and standard deviation. Its tails are longer: large model
+errors are more frequent than under a normal distribution.
 """
 
 from __future__ import annotations
@@ -17,17 +19,22 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 LOGISTIC_SD = pi / sqrt(3.0)
-"""The standard deviation of a logistic distribution of scale 1."""
+"""Standard deviation of a logistic distribution with scale 1."""
 
 MOST_SURPRISE = 3.0
-"""A value that is off by more standard deviations than this tells no more of others: something is wrong with its own model."""
+"""Residual in standard deviations, at most, that updates other candidates: a larger one points to an error in the candidate's own
+model.
+"""
 
 MOST_EXPONENT = 50.0
-"""Beyond it a chance is 0 or 1."""
+"""Larger exponents give a probability of 0 or 1."""
 
 
 class SharedVariance(BaseModel):
-    """Which shares of the variance are common to all candidates of a view, and to those of a family besides."""
+    """Shares of the variance that candidates have in common.
+
+    ``view`` is common to all candidates of a view, ``family`` to those of one family in addition.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -42,7 +49,15 @@ class SharedVariance(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Means (n,) and covariances (n, n) of the natural logarithms of a value of n candidates."""
+    """Joint normal distribution of the logarithms of a value (an error or a time) of n candidates.
+
+    Attributes
+    ----------
+    mean
+        Means of the natural logarithms, (n,).
+    covariance
+        Their covariance matrix, (n, n).
+    """
 
     mean: np.ndarray
     covariance: np.ndarray
@@ -51,7 +66,11 @@ class Belief:
     def prior(
         cls, expected_log: Sequence[float], scales: Sequence[float], families: Sequence[object], shared: SharedVariance
     ) -> Belief:
-        """Before anything was tried, of candidates of some families; ``scales`` are those of their logistic distributions."""
+        """Return the distribution before any trial.
+
+        ``expected_log`` are the expected logarithms, ``scales`` the scales of their logistic distributions, and ``families`` the
+        families of the candidates.
+        """
         count = len(families)
         same = np.array([[one == other for other in families] for one in families], np.float64).reshape(count, count)
         sd = LOGISTIC_SD * np.array(scales, np.float64)
@@ -59,7 +78,7 @@ class Belief:
         return cls(np.array(expected_log, np.float64), correlation * np.outer(sd, sd))
 
     def observed(self, which: int, value_log: float, noise: float) -> Belief:
-        """After a candidate's value was seen; ``noise`` is the standard deviation of what was seen."""
+        """Return the posterior after an observation of candidate ``which``, with the standard deviation ``noise``."""
         column = self.covariance[:, which]
         total = column[which] + noise**2
         if total <= 0.0:
@@ -71,16 +90,16 @@ class Belief:
         return Belief(mean, self.covariance - np.outer(gain, column))
 
     def scale(self, which: int) -> float:
-        """That of a candidate's logistic distribution."""
+        """Return the scale of a candidate's logistic distribution."""
         return float(np.sqrt(max(self.covariance[which, which], 0.0))) / LOGISTIC_SD
 
     def chance_over(self, which: int, limit_log: float) -> float:
-        """How likely a candidate's logarithm lies over a limit, in [0, 1]."""
+        """Return the probability, in [0, 1], that a candidate's logarithm exceeds a limit."""
         return logistic_chance_over(float(self.mean[which]) - limit_log, self.scale(which))
 
 
 def logistic_chance_over(off: float, scale: float) -> float:
-    """How likely it is that a logistic distribution, ``off`` above a limit in the mean, lies over it, in [0, 1]."""
+    """Return the probability, in [0, 1], that a logistic variable exceeds a limit. Its mean lies ``off`` above the limit."""
     if scale <= 0.0:
         return float(off > 0.0)
     return 1.0 / (1.0 + exp(-max(min(off / scale, MOST_EXPONENT), -MOST_EXPONENT)))

@@ -1,4 +1,4 @@
-"""The plans that the accuracy report compares: every capable algorithm over its settings, and mixes by kind of casters."""
+"""Candidate plans of the accuracy report: every capable algorithm with several settings, and combinations by kind of casters."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ MAX_CANDIDATES = 40
 """Candidates of a view, at most."""
 
 TAPS_OF_DEFAULT: tuple[int | str, ...] = (1, 3, "sun")
-"""Filters that the plan is compared with that is taken where nothing more is asked."""
+"""Filters for variants of the default plan."""
 
 
 def candidates(scene: Scene, view: MapView | PerspectiveView, name: str = "map", light: str = SUN) -> list[Plan]:
-    """The plans to compare under a light, at most ``MAX_CANDIDATES``, no two of one name.
+    """Return the plans to compare under a light, at most ``MAX_CANDIDATES`` with unique names.
 
-    First comes what is taken where nothing more is asked, and the same with other taps, by which its edges are judged; then
-    algorithms as they are by themselves, texels and taps, mixes by kind of casters, and what is turned one at a time. An algorithm
-    that cannot serve everything takes on the sun's relief and meshes, or relief alone, beside shadow maps.
+    - The default plan is first, followed by variants with other filters, which show the effect of the filter on edges.
+    - Next are algorithms with their default settings, several map sizes and filters, combinations by kind of casters, and variants
+      of single settings.
+    - An algorithm that cannot serve all casters draws the sun's relief and meshes, or relief alone. Shadow maps draw the rest.
     """
     descriptor, level = describe(scene, view, name, "points"), scene.loaded.level
     plans: dict[str, Plan] = {}
@@ -42,9 +43,10 @@ def candidates(scene: Scene, view: MapView | PerspectiveView, name: str = "map",
 
 
 def name_of(plan: Plan, light: str = SUN) -> str:
-    """A plan's algorithms and settings under a light in few words: ``shadow_map-2048-3-16``, ``relief=sweep,meshes=shadow_volume``.
+    """Return a short name of a plan's algorithms and settings under a light.
 
-    A map is named by texels a side, taps a side and bits; what is not as it is by itself is added.
+    Examples: ``shadow_map-2048-3-16``, ``relief=sweep,meshes=shadow_volume``. A map's name has its texels a side, its taps a side
+    and its depth bits. Other settings follow if they differ from the defaults.
     """
     kinds: dict[str, list[str]] = {}
     for kind, name in plan.algorithm.get(light, {}).items():
@@ -56,7 +58,7 @@ def name_of(plan: Plan, light: str = SUN) -> str:
 
 
 def _plans(descriptor: Descriptor, level: Level, light: str) -> Iterator[Plan]:
-    with suppress(UnsupportedError):  # what the level asks for may not serve this view
+    with suppress(UnsupportedError):  # the level's own algorithm may not serve this view
         default = make_plan(descriptor, level)
         yield default
         for taps in TAPS_OF_DEFAULT:
@@ -82,9 +84,9 @@ def _as_far_as_it_serves(descriptor: Descriptor, level: Level, light: str, overr
 
 
 def _served(descriptor: Descriptor, level: Level, light: str, overrides: dict[str, Any]) -> list[Plan]:
-    """The plan of what is asked, if it is served and really taken under the light."""
-    with suppress(UnsupportedError):  # to whoever asks for it by name it says why
-        plan = make_plan(descriptor, level, overrides, choices={})  # what is not named goes by shadow maps
+    """Return the plan for the overrides, if the algorithm serves and is used under the light."""
+    with suppress(UnsupportedError):
+        plan = make_plan(descriptor, level, overrides, choices={})  # other kinds use shadow maps
         wanted = overrides["algorithm"]
         names = set(wanted.values()) if isinstance(wanted, dict) else {wanted}
         if names & set(plan.algorithm.get(light, {}).values()) or not plan.algorithm:

@@ -1,4 +1,4 @@
-"""What a policy hands to the planner: for a light, an algorithm per kind of casters and settings, each with its reason."""
+"""Value types that a policy passes to the planner: algorithms by kind of casters, settings and reasons for one light."""
 
 from __future__ import annotations
 
@@ -10,13 +10,17 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, EffectName, Shadows
 
 PolicyName = Literal["rules", "predict", "probe", "measure"]
-"""``rules``: what is known beforehand; ``predict``: cost and error models; ``probe``: the same, corrected by some candidates that
-were drawn on the scene and held against truth; ``measure``: a probe without a limit of time.
+"""The policies.
+
+- ``rules``: fixed rules over the descriptor.
+- ``predict``: cost and error models.
+- ``probe``: ``predict``, corrected by drawing some candidates on the scene and comparing them with ground truth.
+- ``measure``: ``probe`` without a time limit.
 """
 
 
 class PlanRequest(Protocol):
-    """What is asked of a plan whatever the view: a ``Level`` is one, and so is ``StandaloneRequest``."""
+    """The part of a request that does not depend on the view. ``Level`` and ``StandaloneRequest`` implement it."""
 
     @property
     def shadows(self) -> Shadows: ...
@@ -30,7 +34,7 @@ class PlanRequest(Protocol):
 
 @dataclass(frozen=True)
 class StandaloneRequest:
-    """Wishes without a level, as they come with a descriptor alone. ``effects`` is ``auto`` or on and off by name."""
+    """A request without a level, for a descriptor alone. ``effects`` is ``auto``, or ``on`` and ``off`` by name."""
 
     shadows: Shadows
     light_names: tuple[str, ...]
@@ -39,10 +43,18 @@ class StandaloneRequest:
 
 @dataclass(frozen=True)
 class Choice:
-    """A choice for one light. What the level or the request asks for goes before it.
+    """A policy's choice for one light. Settings of the level or the request override it.
 
-    ``name`` tells it from other choices of the light; ``settings`` are fields of ``Shadows`` (``map_size``, ``cascades``), and
-    ``why`` says for each kind of casters what speaks for its algorithm, for each setting what speaks for its value.
+    Attributes
+    ----------
+    name
+        Unique among the choices for a light.
+    algorithm
+        Algorithm by kind of casters.
+    settings
+        Fields of ``Shadows`` by name (``map_size``, ``cascades``).
+    why
+        Reasons: for algorithms by kind of casters, for settings by field.
     """
 
     name: str

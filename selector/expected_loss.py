@@ -1,9 +1,9 @@
-"""Who is to be taken where times and errors are only expected: the candidate with the least expected loss. Pure arithmetic.
+"""Select a candidate whose time and error are uncertain: minimize the expected loss. Pure arithmetic.
 
-A target that is missed is taken to cost ``MISS_PENALTY`` times what candidates that are likely to meet it cost in the median:
-much as choices are judged (the PAR10 score of B. Bischl et al. 2016, "ASlib: A benchmark library for algorithm selection"), but
-not by the slowest, which nobody would take. So some more time is spent where it does away with a chance to miss, and not much
-more where it does away with little.
+A missed target costs ``MISS_PENALTY`` times the median time of the candidates that are likely to meet it. This follows the scores
+of algorithm selection (PAR10, B. Bischl et al. 2016, "ASlib: A benchmark library for algorithm selection"), but uses the median
+instead of the slowest candidate, which a policy would not choose. So more time is spent if it removes a considerable risk of a
+miss, and little time if it removes a small one.
 """
 
 from __future__ import annotations
@@ -17,16 +17,24 @@ from skugga.selector.ranking import CandidateFigures, RankingResult, best, relat
 from skugga.shadows.registry import NO_SHADOWS
 
 MISS_PENALTY = 10.0
-"""What a missed target costs, in times what a candidate that is likely to meet it does."""
+"""Cost of a missed target, relative to a candidate that is likely to meet it."""
 
 LIKELY_MISS_CHANCE = 0.5
-"""A candidate that misses with no larger chance is taken to meet the target."""
+"""A candidate with at most this probability of a miss counts as likely to meet the target."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """A candidate's expected figures, the chance in [0, 1] that it misses the error that is asked for, and the scale of the
-    logistic distribution of its time's logarithm about the one expected.
+    """Expected time and error of a candidate, with their uncertainty.
+
+    Attributes
+    ----------
+    figures
+        Expected time and errors.
+    error_miss_chance
+        Probability, in [0, 1], that the error exceeds its limit.
+    time_spread
+        Scale of the logistic distribution of the time's logarithm.
     """
 
     figures: CandidateFigures
@@ -34,24 +42,24 @@ class Forecast:
     time_spread: float
 
     def late_chance(self, max_ms: float | None) -> float:
-        """The chance that it takes longer (``None``: no limit)."""
+        """Return the probability that the time exceeds ``max_ms``. ``None`` means no limit."""
         return 0.0 if max_ms is None else logistic_chance_over(log(max(self.figures.ms, 1e-9) / max_ms), self.time_spread)
 
     def miss_chance(self, max_ms: float | None) -> float:
-        """The chance that it misses the error or the time."""
+        """Return the probability that the error or the time exceeds its limit."""
         return 1.0 - (1.0 - self.error_miss_chance) * (1.0 - self.late_chance(max_ms))
 
 
 def least_expected_loss(forecasts: Sequence[Forecast], max_error: float, max_ms: float | None = None) -> RankingResult:
-    """The candidate to take.
+    """Return the candidate with the least expected loss.
 
-    1. Where some are likely to meet the target: the one with the least expected time, a miss taken as ``MISS_PENALTY`` times their
-       median.
-    2. Else, where some are likely to keep to the time that is asked for: the one with the least expected overshoot, lateness taken
-       in the same way.
-    3. Else the nearest, as ``skugga.selector.ranking.best`` has it.
+    1. If some candidates are likely to meet the target: the one with the least expected time. A miss costs ``MISS_PENALTY`` times
+       their median time.
+    2. Otherwise, if some are likely to stay within the time limit: the one with the least expected overshoot. A late candidate is
+       penalized in the same way.
+    3. Otherwise, the nearest candidate according to ``skugga.selector.ranking.best``.
 
-    ``none`` is only taken where there is nothing else. Raises ``ValueError`` where there is nothing at all.
+    ``none`` wins only if it is the only candidate. Raises ``ValueError`` without candidates.
     """
     candidates = [forecast for forecast in forecasts if forecast.figures.name != NO_SHADOWS] or list(forecasts)
     likely = [forecast for forecast in candidates if forecast.miss_chance(max_ms) <= LIKELY_MISS_CHANCE]

@@ -1,9 +1,11 @@
-"""Films: a sun that moves, a camera that moves, or both, drawn frame by frame.
+"""Draw films frame by frame: with a moving sun, a moving camera, or both.
 
-A film has one time, that of the scene: the sun, the clock of what moves, and the camera go by it. Frame ``n`` is ``n`` steps after
-the first one. Plans are a ``Replanner``'s: a choice of algorithms stays while it serves, and a switch is spread over some frames.
-Any other frame is the picture that ``render_frame`` makes of its moment with its plan; that of bare ground is drawn faster
-(``skugga.shadows.draw``).
+- A film has one time axis, the scene's. The sun, the clock of moving objects and the camera all follow it. Frame ``n`` shows the
+  scene ``n`` steps after the first frame.
+- A ``Replanner`` makes the plans. It keeps a choice of algorithms while that choice serves, and spreads a switch over several
+  frames.
+- All other frames equal the picture that ``render_frame`` draws for their time and plan. Frames of terrain alone are drawn faster
+  (``skugga.shadows.draw``).
 """
 
 from __future__ import annotations
@@ -40,8 +42,20 @@ log = logging.getLogger("skugga")
 
 @dataclass(frozen=True, eq=False)
 class FrameMoment:
-    """What a frame shows: ``elapsed_s`` after the first one, the sun of a ``time`` (``None``: the scene's), the clock of what moves
-    at ``second``, and a view.
+    """The time and the view of one frame.
+
+    Attributes
+    ----------
+    number
+        Index of the frame, from 0.
+    elapsed_s
+        Seconds since the first frame.
+    time
+        Date and time of the sun. ``None`` keeps the scene's sun.
+    second
+        Clock of moving objects, seconds.
+    view
+        The view of the frame.
     """
 
     number: int
@@ -52,18 +66,30 @@ class FrameMoment:
 
     @property
     def words(self) -> str:
-        """The frame in words, for messages: its number counted from 1, and its time."""
+        """The frame in words for messages: its number, counted from 1, and its time."""
         when = f"{self.elapsed_s:g} s" if self.time is None else self.time.isoformat()
         return f"frame {self.number + 1} ({when})"
 
     def scene(self, scene: Scene) -> Scene:
-        """A film's scene at this moment."""
+        """Return the film's scene at this time."""
         return scene.with_sun(None if self.time is None else SunSpec(time=self.time)).at_second(self.second)
 
 
 @dataclass(frozen=True)
 class PlanSwitch:
-    """A frame in which other algorithms or settings are chosen than before, and why."""
+    """A change of algorithms or settings between two frames.
+
+    Attributes
+    ----------
+    number
+        Index of the first frame with the new choice.
+    before
+        The previous choice, in words.
+    after
+        The new choice, in words.
+    why
+        The reason for the change.
+    """
 
     number: int
     before: str
@@ -73,10 +99,20 @@ class PlanSwitch:
 
 @dataclass(frozen=True, eq=False)
 class FilmFrame:
-    """A frame of a film by its ``plan``: ``color`` uint8 (rows, cols, 3), row 0 the upper one.
+    """One frame of a film.
 
-    In a switch that is under way ``handover`` is the plan that is left, and the share of the pixels that show the new one;
-    ``switch`` is there in the first frame of another choice.
+    Attributes
+    ----------
+    moment
+        Time and view of the frame.
+    color
+        Picture, uint8 (rows, cols, 3). Row 0 is the top row.
+    plan
+        Plan of the frame.
+    handover
+        The transition under way: the previous plan, and the share of the pixels that show the new one. Else ``None``.
+    switch
+        The change of choice that begins with this frame. Else ``None``.
     """
 
     moment: FrameMoment
@@ -87,16 +123,18 @@ class FilmFrame:
 
 
 def frame_moments(scene: Scene, request: FilmRequest, most_frames: int = MOST_FRAMES, only: int | None = None) -> list[FrameMoment]:
-    """All frames of a film, looked at before any is drawn; or ``only`` the one of a number.
+    """Return the times and views of all frames of a film, checked before any frame is drawn.
 
-    Raises ``InputError`` for more than ``most_frames``, and where the camera leaves the data or goes under the ground: it names
-    the frame.
+    ``only`` limits the result to the frame with this index.
+
+    Raises ``InputError`` for more than ``most_frames`` frames. It also raises one that names the frame if the camera leaves the
+    data or goes under the ground.
     """
     span = request.span
     if not 1 <= span.frames <= most_frames:
         raise InputError("frames", span.frames, f"1 to {most_frames} frames")
     if span.start is not None:
-        scene.with_sun(SunSpec(time=span.start))  # a flat world has no dates
+        scene.with_sun(SunSpec(time=span.start))  # raises an error in a flat world, which has no dates
     first_second = scene.seconds if span.first_second is None else span.first_second
     path = None if request.path is None else camera_path(request.path, scene.place, span.start)
     resting = None if path is not None else scene.view(request.view, request.bounds, request.crs, request.size)
@@ -107,14 +145,14 @@ def frame_moments(scene: Scene, request: FilmRequest, most_frames: int = MOST_FR
             view = resting if path is None else path.view_at(elapsed_s, *reversed(_size(request)))
         except InputError as error:
             where = FrameMoment(number, elapsed_s, span.time_of(number), 0.0, None).words  # type: ignore[arg-type]
-            raise InputError(f"path, {where}: {error.name}", error.value, error.allowed) from None
+            raise error.renamed(f"path, {where}: {error.name}") from None
         assert view is not None
         moments.append(FrameMoment(number, elapsed_s, span.time_of(number), first_second + elapsed_s, view))
     return moments
 
 
 def _size(request: FilmRequest) -> tuple[int, int]:
-    """Width and height of the pictures along a path. Raises ``InputError``."""
+    """Return width and height of the pictures along a path. Raises ``InputError``."""
     assert request.path is not None
     width, height = request.size or request.path.size
     if max(width, height) > MAX_PERSPECTIVE_PX:
@@ -125,11 +163,11 @@ def _size(request: FilmRequest) -> tuple[int, int]:
 def film_frames(
     scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], replanner: Replanner | None = None, ahead: int = 0
 ) -> Iterator[FilmFrame]:
-    """The frames of a film at ``frame_moments``, each drawn when it is asked for; nothing is kept of those before it.
+    """Yield the frames of a film at ``frame_moments``. Each frame is drawn on demand, and earlier frames are not kept.
 
-    ``scene`` has the sun and the style of the film, where its moments do not say otherwise; ``replanner`` makes the plans. Up to
-    ``ahead`` further frames are drawn meanwhile in other threads, where that needs no OpenGL: plans are made one after the other.
-    Raises as ``render_frame`` and ``Replanner.plan`` do.
+    ``scene`` has the sun and the style of the film; its moments override them. ``replanner`` makes the plans, one after the other.
+    Up to ``ahead`` further frames are drawn in other threads meanwhile, if they need no OpenGL.
+    Raises the errors of ``render_frame`` and ``Replanner.plan``.
     """
     replanner = replanner or Replanner()
     if ahead == 0:
@@ -140,7 +178,7 @@ def film_frames(
         try:
             for number, frame in enumerate(_planned(scene, request, moments, replanner, threads)):
                 waiting.append(frame)
-                if number == 0 or len(waiting) > ahead:  # what all frames share is made for the first one
+                if number == 0 or len(waiting) > ahead:  # the first frame makes what all frames share
                     yield waiting.popleft()()
             while waiting:
                 yield waiting.popleft()()
@@ -151,7 +189,10 @@ def film_frames(
 def _planned(
     scene: Scene, request: FilmRequest, moments: Sequence[FrameMoment], replanner: Replanner, threads: ThreadPoolExecutor | None
 ) -> Iterator[Callable[[], FilmFrame]]:
-    """What gives each frame of a film: it is drawn then, or has been by one of some ``threads``."""
+    """Yield a function for each frame that returns the drawn frame.
+
+    The function draws the frame when called, or waits for one of the ``threads``.
+    """
     level, overrides = scene.loaded.level, dict(request.overrides)
     before = None if replanner.state is None else replanner.state.plan
     for moment in moments:
@@ -179,7 +220,7 @@ def _drawn(moment: FrameMoment, drawn: Callable[[], Picture], plan: Plan, switch
 
 
 def _switch(moment: FrameMoment, before: Plan, after: Plan, why: str | None) -> PlanSwitch | None:
-    """What changed from one plan to the next; ``why`` if the replanner took another choice."""
+    """Return the change between two successive plans, or ``None``. ``why`` is the replanner's reason if it took another choice."""
     names = _chosen(before), _chosen(after)
     if names[0] == names[1]:
         return None
@@ -187,7 +228,7 @@ def _switch(moment: FrameMoment, before: Plan, after: Plan, why: str | None) -> 
 
 
 def _chosen(plan: Plan) -> str:
-    """What a plan chose, in words: per light its algorithms, and the settings that were chosen."""
+    """Return what a plan chose, in words: the algorithms by light, and the chosen settings."""
     names = {light: choice.name or "none" for light, choice in choices_of(plan).items()}
     if len(set(names.values())) <= 1:
         return next(iter(names.values()), "none")
@@ -195,11 +236,11 @@ def _chosen(plan: Plan) -> str:
 
 
 def _what_casts(before: Plan, after: Plan) -> str:
-    """How two plans differ in what casts."""
+    """Describe how the casting kinds of two plans differ."""
     was, now = ({(light, kind) for light, kinds in casting(plan).items() for kind in kinds} for plan in (before, after))
     if not now:
-        return "nothing casts shadows any more"
+        return "nothing casts shadows now"
     if was == now:
         return "settings follow the view"
-    changes = (was - now, "no shadows of {} any more"), (now - was, "shadows of {} again")
+    changes = (was - now, "shadows of {} ended"), (now - was, "shadows of {} began")
     return "; ".join(words.format(format_list(sorted({kind for _, kind in kinds}))) for kinds, words in changes if kinds)

@@ -1,4 +1,4 @@
-"""What is asked of a film, as values; ``film`` draws it."""
+"""Value types of a film request. ``film`` draws it."""
 
 from __future__ import annotations
 
@@ -10,16 +10,26 @@ from typing import Any
 from skugga.terrain.level.camera_file import CameraPathSpec
 
 MOST_FRAMES = 10_000
-"""Of a film: almost seven minutes at 25 a second."""
+"""Frames of a film, at most: almost seven minutes at 25 frames a second."""
 
 ALONG_PATH = "path"
-"""What plans call the view of a camera that moves."""
+"""Name of a moving camera's view in plans."""
 
 
 @dataclass(frozen=True)
 class FilmSpan:
-    """When a film plays: the number of its frames and the seconds between two of them, the date of the first one (``None``: the
-    sun rests), and what the clock of what moves shows there (``None``: what the level says).
+    """The time span of a film.
+
+    Attributes
+    ----------
+    frames
+        Number of frames.
+    step_s
+        Seconds between two frames.
+    start
+        Date and time of the first frame. ``None`` keeps the sun fixed.
+    first_second
+        Clock of moving objects in the first frame, seconds. ``None`` takes the level's.
     """
 
     frames: int
@@ -28,19 +38,35 @@ class FilmSpan:
     first_second: float | None = None
 
     def time_of(self, number: int) -> datetime | None:
-        """The date and time of a frame."""
+        """Return the date and time of a frame."""
         return None if self.start is None else self.start + timedelta(seconds=number * self.step_s)
 
     @property
     def length_s(self) -> float:
-        """From the first frame to the last one."""
+        """Seconds from the first frame to the last one."""
         return (self.frames - 1) * self.step_s
 
 
 @dataclass(frozen=True)
 class FilmRequest:
-    """What a film shows: one of the level's views, as ``Scene.view`` makes it of its parameters, or along a ``path`` what a camera
-    sees that moves. ``size`` is (width, height). ``overrides`` are what is asked of the shadows.
+    """What a film shows.
+
+    Attributes
+    ----------
+    span
+        Time span.
+    view
+        Name of the level's view, if the camera does not move.
+    path
+        Path of a moving camera. It replaces ``view``, ``bounds`` and ``crs``.
+    size
+        Width and height of the pictures, pixels.
+    bounds
+        Bounds of a map view (``Scene.view``).
+    crs
+        CRS of the bounds.
+    overrides
+        Requested fields of ``Shadows``.
     """
 
     span: FilmSpan
@@ -53,5 +79,5 @@ class FilmRequest:
 
     @property
     def view_name(self) -> str:
-        """What plans call the view."""
+        """Name of the view in plans."""
         return self.view if self.path is None else ALONG_PATH

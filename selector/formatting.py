@@ -1,4 +1,4 @@
-"""Shares, times and lists in words."""
+"""Format shares, times and lists for messages."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from math import floor, log10
 
 
 def format_percent(share: float) -> str:
-    """A share as ``12 %``, ``0.12 %`` or ``under 0.001 %``: two digits that count."""
+    """Format a share as ``12 %``, ``0.12 %`` or ``under 0.001 %``, with two significant digits."""
     if 0.0 < share < 1e-5:
         return "under 0.001 %"
     return f"{format_two_digits(100.0 * share)} %"
 
 
 def format_duration(ms: float) -> str:
-    """Milliseconds as ``0.42 ms``, ``435 ms`` or ``2.1 s``."""
+    """Format milliseconds as ``0.42 ms``, ``435 ms`` or ``2.1 s``."""
     return f"{format_two_digits(ms / 1000.0)} s" if ms >= 999.5 else f"{format_two_digits(ms)} ms"
 
 
 def format_list(names: Sequence[str], most: int = 4) -> str:
-    """``a``, ``a and b``, ``a, b and c``, or the first few ``and 5 others``."""
+    """Join names as ``a``, ``a and b`` or ``a, b and c``. A list of more than ``most`` names ends with ``and 5 others``."""
     items = list(names) if len(names) <= most else [*names[: most - 1], f"{len(names) - most + 1} others"]
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
 
 
 def format_two_digits(value: float) -> str:
-    """At least two digits that count, no exponent: 0, 0.042, 4.2, 42, 420."""
+    """Format a number with at least two significant digits and no exponent: 0, 0.042, 4.2, 42, 420."""
     if value == 0.0:
         return "0"
     return f"{value:.{max(0, 1 - floor(log10(abs(float(f'{value:.1e}')))))}f}"

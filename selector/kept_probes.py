@@ -1,4 +1,4 @@
-"""Probes of levels' maps, kept in files of the user's cache folder: one of each device, driver and version of a level."""
+"""Store probes of levels' maps in the user's cache folder: one file for each device, driver and version of a level."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from skugga.terrain.user_cache import user_cache
 from skugga.terrain.whole_files import write_whole
 
 MOST_KEPT = 200
-"""Files of a device: of more the oldest are deleted. Levels change, and nobody asks for their older versions."""
+"""Files kept for a device. The oldest ones are deleted: levels change, and their earlier versions are not needed again."""
 
 
 def probes_folder(renderer: str, version: str) -> Path:
-    """Where a device's probes lie."""
+    """Return the folder with a device's probes."""
     return user_cache("probes") / profile_path(renderer, version).stem
 
 
 def save_probes(renderer: str, version: str, level_version: str, probes: MapProbes) -> Path:
-    """Add what was probed for a version of a level to its file, whole or not at all. Raises ``OSError`` where the folder cannot be
-    written.
+    """Add probes of a version of a level to its file by an atomic write.
+
+    Raises ``OSError`` if the folder cannot be written.
     """
     folder = probes_folder(renderer, version)
     path = folder / f"{level_version}.json"
@@ -35,8 +36,11 @@ def save_probes(renderer: str, version: str, level_version: str, probes: MapProb
 
 
 def load_probes(path: Path) -> MapProbes:
-    """What a file holds; nothing where it is not there, or of another version of Skugga, or broken: it is probed anew."""
+    """Return the probes in a file.
+
+    A missing or broken file, or one of another version of Skugga, gives none, so the level is probed again.
+    """
     try:
         return MapProbes.model_validate_json(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # a broken file's error is one of values
+    except (OSError, ValueError):  # pydantic raises a ValueError for a broken file
         return MapProbes()

@@ -1,4 +1,4 @@
-"""What was seen of choices for a level's maps, by their scale and the sun: one probe stands for all maps and tiles of its class."""
+"""Observations of choices on a level's maps, by scale and sun. One probe stands for all maps and tiles of its class."""
 
 from __future__ import annotations
 
@@ -11,21 +11,29 @@ from pydantic import BaseModel, ConfigDict
 from skugga.selector.seen import Seen
 
 PROBED_FOR = {"max_error", "max_ms", "algorithm"}
-"""What may be asked of the shadows of maps that a probe stands for: other settings change what algorithms draw."""
+"""Shadow settings that a request may change and still use probes. Other settings change the picture."""
 
 LEAST_SUN, MOST_SUN = -5, 2
-"""Suns lower than 2 degrees and higher than 70 are as those there."""
+"""Classes of suns from about 2 to 70 degrees. Lower and higher suns are assigned to the nearest class."""
 
 BETWEEN_BLOCKS_ERROR, BETWEEN_BLOCKS_TIME = 0.6, 0.3
-"""Standard deviations of the logarithms of errors and times between blocks of a level at one scale and sun
-(``benchmarks/selection/blocks.py``, 24 situations of six levels): of errors what two in three keep to, since a few differ much
-more; of times the root mean square less the noise of clocks.
+"""Standard deviations of the logarithms of errors and times between blocks of a level at one scale and sun.
+
+Measured by ``benchmarks/selection/blocks.py`` in 24 situations of six levels. For errors it is the limit that two thirds stay
+below, since a few blocks differ much more. For times it is the root mean square without the noise of the clock.
 """
 
 
 class MapClass(NamedTuple):
-    """Maps that are alike: pixels of about ``2 ** scale`` metres, a sun whose altitude's tangent is about ``2 ** sun``, so that
-    shadows on a plain are ``2 ** -sun`` times as long as what casts them is high.
+    """Class of similar maps.
+
+    Attributes
+    ----------
+    scale
+        Pixels are about ``2 ** scale`` metres wide.
+    sun
+        The tangent of the sun's altitude is about ``2 ** sun``. Shadows on level ground are ``2 ** -sun`` times as long as their
+        casters are high.
     """
 
     scale: int
@@ -33,12 +41,12 @@ class MapClass(NamedTuple):
 
     @property
     def sun_altitude_deg(self) -> float:
-        """The altitude in the middle of the class, degrees."""
+        """Altitude of the sun in the middle of the class, degrees."""
         return degrees(atan(2.0**self.sun))
 
 
 def map_class(pixel_m: float, sun_altitude_deg: float | None) -> MapClass | None:
-    """The class of a map with pixels of ``pixel_m`` metres; ``None`` under a sun that does not shine."""
+    """Return the class of a map with pixels of ``pixel_m`` metres, or ``None`` for a sun that is down or unknown."""
     if sun_altitude_deg is None or sun_altitude_deg <= 0.0:
         return None
     steepness = log2(tan(radians(min(sun_altitude_deg, 89.0))))
@@ -46,7 +54,7 @@ def map_class(pixel_m: float, sun_altitude_deg: float | None) -> MapClass | None
 
 
 class ProbedClass(BaseModel):
-    """What was seen in a class of maps, by light."""
+    """Observations in a class of maps, by light."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -56,21 +64,24 @@ class ProbedClass(BaseModel):
 
 
 class MapProbes(BaseModel):
-    """What was seen of choices for a level's maps. A value: ``with_`` gives another one."""
+    """Observations of choices on a level's maps. An immutable value: ``with_`` returns a new one."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     classes: tuple[ProbedClass, ...] = ()
 
     def of(self, wanted: MapClass | None) -> Mapping[str, tuple[Seen, ...]] | None:
-        """What was seen in a class, by light, as of a map of the class that may lie elsewhere; ``None`` where it was not probed."""
+        """Return the observations in a class by light, or ``None`` if it was not probed.
+
+        The noises include the differences between blocks, since the map may show another part of the level.
+        """
         for each in self.classes:
             if (each.scale, each.sun) == wanted:
                 return {light: tuple(map(_elsewhere, seen)) for light, seen in each.seen.items()}
         return None
 
     def with_(self, other: MapProbes) -> MapProbes:
-        """The same with what another one has; of classes that both have, that of the other. In the order of classes."""
+        """Return these probes combined with others, sorted by class. The other ones replace classes that both have."""
         both = {(each.scale, each.sun): each for each in (*self.classes, *other.classes)}
         return MapProbes(classes=tuple(both[key] for key in sorted(both)))
 

@@ -1,4 +1,4 @@
-"""Algorithms that are tried together, each for some kinds of casters: what is nobody's own, as one algorithm's settings are."""
+"""Combinations of algorithms, one for each kind of casters. No single algorithm's module owns them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,18 @@ from skugga.terrain.level.level import CasterKind
 
 @dataclass(frozen=True)
 class Mix:
-    """Algorithms by kind of casters; kinds that are not named go by ``skugga.shadows.registry.FALLBACK``.
+    """Algorithms by kind of casters.
 
-    ``in_portfolio`` says whether policies choose it, ``in_report`` whether the accuracy report compares it.
+    Attributes
+    ----------
+    name
+        Name of the combination.
+    algorithm
+        Algorithm by kind of casters. Other kinds use ``skugga.shadows.registry.FALLBACK``.
+    in_portfolio
+        Whether policies may choose it.
+    in_report
+        Whether the accuracy report compares it.
     """
 
     name: str
@@ -36,4 +45,4 @@ MIXES = (
     ),
     Mix("shadow_map+perspective_shadow_map", {"meshes": "perspective_shadow_map"}, in_portfolio=False),
 )
-"""The most telling ones first: what comes last is cut off where candidates become too many."""
+"""Most informative combinations first: the last ones are dropped if the number of candidates exceeds its limit."""

@@ -1,4 +1,4 @@
-"""What can be chosen for a light, and what is believed of it: expected times and errors, corrected by what was seen of some."""
+"""The options for a light, with estimates of their times and errors. Observations of some options correct all of them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,19 @@ LEAST_MS = 1e-6
 
 @dataclass(frozen=True)
 class PredictedChoice:
-    """A choice for a light with the steps that it comes to, and what is expected of them."""
+    """A choice for a light with its steps and predictions.
+
+    Attributes
+    ----------
+    choice
+        The choice.
+    steps
+        The steps that the planner makes of it.
+    ms
+        Expected time, milliseconds.
+    errors
+        Expected errors.
+    """
 
     choice: Choice
     steps: tuple[Step, ...]
@@ -51,14 +63,28 @@ class PredictedChoice:
 
     @property
     def family(self) -> tuple[tuple[object, ...], ...]:
-        """What it has in common with those that differ from it in settings alone: which algorithm draws what."""
+        """The algorithms and the kinds of casters that they draw. Choices of a family differ in their settings alone."""
         return tuple((step.algorithm, step.kinds) for step in self.steps)
 
 
 @dataclass(frozen=True, eq=False)
 class LightOptions:
-    """The options for a light with what is believed of their errors, what is wrong inside, and their times; ``seen`` by number, and
-    those that turned out to be ``refused`` by their algorithms.
+    """The options for a light, with estimates of their times and errors.
+
+    Attributes
+    ----------
+    options
+        The options. Their numbers are indices into this tuple.
+    error
+        Distribution of the error's logarithm.
+    interior
+        Distribution of the interior error's logarithm.
+    time
+        Distribution of the time's logarithm.
+    seen
+        Observations by number.
+    refused
+        Numbers of the options that their algorithms refused to draw.
     """
 
     options: tuple[PredictedChoice, ...]
@@ -70,7 +96,7 @@ class LightOptions:
 
     @classmethod
     def expected(cls, options: Sequence[PredictedChoice], model: ErrorModel | None = None) -> LightOptions:
-        """Before anything was seen of any."""
+        """Return the options with their prior distributions, before any observation."""
         model = model or packaged_model()
         families, errors, shared = [each.family for each in options], [each.errors for each in options], model.shared
         return cls(
@@ -85,7 +111,7 @@ class LightOptions:
         )
 
     def after(self, seen: Iterable[Seen]) -> LightOptions:
-        """What is believed when some were seen, of each the last time; of others than these options nothing is learnt."""
+        """Return the options after observations. The last one of each choice counts, and those of other choices are ignored."""
         numbers = {option.choice.name: number for number, option in enumerate(self.options)}
         out = self
         for its in seen:
@@ -101,38 +127,41 @@ class LightOptions:
         return out
 
     def figures(self, which: int) -> CandidateFigures:
-        """What is expected of an option."""
+        """Return the expected time and errors of an option."""
         error, interior = exp(self.error.mean[which]) - LEAST, exp(self.interior.mean[which]) - LEAST_INTERIOR
         return CandidateFigures(
             self.options[which].choice.name, exp(self.time.mean[which]), min(max(error, 0.0), 1.0), min(max(interior, 0.0), 1.0)
         )
 
     def wrong(self, which: int) -> float:
-        """The share of all pixels that an option is expected to get wrong."""
+        """Return the share of all pixels that an option is expected to get wrong."""
         errors = self.options[which].errors
         return min(errors.wrong * self.figures(which).error / errors.wrong_cast, 1.0) if errors.wrong_cast > 0.0 else errors.wrong
 
     def miss_chance(self, which: int, max_error: float) -> float:
-        """How likely it is that an option has more than ``max_error`` wrong, or more than ``MOST_INTERIOR`` inside, in [0, 1]."""
+        """Return the probability, in [0, 1], that an option misses an error limit.
+
+        The limits are ``max_error`` for the error and ``MOST_INTERIOR`` for the interior error.
+        """
         error = self.error.chance_over(which, log_error(max_error))
         inside = self.interior.chance_over(which, log_interior(MOST_INTERIOR))
-        return max(error, inside)  # what is wrong inside is wrong besides
+        return max(error, inside)  # interior errors are errors, too
 
     def forecast(self, which: int, max_error: float) -> Forecast:
-        """What there is to hope for of an option with a target."""
+        """Return the forecast of an option for a target."""
         return Forecast(self.figures(which), self.miss_chance(which, max_error), self.time.scale(which))
 
     def forecasts(self, max_error: float) -> list[Forecast]:
-        """The same of all options that are not refused."""
+        """Return the forecasts of all options that are not refused."""
         return [self.forecast(which, max_error) for which in self.numbers]
 
     @property
     def numbers(self) -> list[int]:
-        """The options that are not refused."""
+        """The numbers of the options that are not refused."""
         return [which for which in range(len(self.options)) if which not in self.refused]
 
     def number(self, name: str) -> int:
-        """That of the option of a name."""
+        """Return the number of the option with a name."""
         return next(which for which, option in enumerate(self.options) if option.choice.name == name)
 
 
@@ -144,16 +173,16 @@ def predicted_choices(
     errors: ErrorModel | None = None,
     unmeasured: dict[AlgorithmName, str] | None = None,
 ) -> list[PredictedChoice]:
-    """What can be chosen for a light, no two that come to the same steps, with what is expected of each.
+    """Return the options for a light, no two with the same steps, with their predictions.
 
-    An algorithm of which nothing can be expected is left out, and put into ``unmeasured`` with the reason.
+    An algorithm without predictions is left out. ``unmeasured`` receives the reason.
     """
     descriptor, model = planner.descriptor, errors or packaged_model()
     options: dict[tuple[object, ...], PredictedChoice] = {}
     known: dict[object, tuple[float, float]] = {}
     for choice in portfolio(descriptor, light, kinds, planner.asked):
         steps = planner.steps(light, choice)
-        # Many picks share steps. A planner's equal settings are one, and values are slow to compare.
+        # Many choices share steps. A planner returns equal settings as one object, and comparing values is slow.
         keys = tuple((step.algorithm, step.kinds, id(step.settings)) for step in steps)
         if keys in options:
             continue

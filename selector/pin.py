@@ -1,9 +1,10 @@
-"""Choices made at design time, written into the level file, with a comment why: algorithms and settings under ``shadows`` for all
-of its views and suns, or a list of ``pins`` there for some.
+"""Write choices into the level file: algorithms and settings under ``shadows`` for all views and suns, or a list of ``pins`` there.
 
-The text is changed where it has to be and nowhere else: comments, order, quotes, indentation and line ends of all other keys stay
-byte for byte. Lines that begin with ``#:`` are the pin's own, and are replaced by the next one. Of a value that is replaced the
-user's comments stay: those of an item in a list of pins at the item for the same view and suns, all others above the value's key.
+- Only the affected part of the text changes. Comments, order, quotes, indentation and line ends of all other keys stay the same
+  byte for byte.
+- Lines that begin with ``#:`` belong to the pin, and the next pin replaces them.
+- The user's comments at a replaced value stay. Those of an item in a list of pins stay at the item for the same view and suns, all
+  others move above the value's key.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from skugga.selector.choices import PlanRequest
 from skugga.selector.planner.planner import SETTING_NAMES, make_plan
 from skugga.shadows.plan import Plan
 from skugga.shadows.registry import NO_SHADOWS
-from skugga.terrain.errors import InputError, LevelError
+from skugga.terrain.errors import InputError, LevelError, Problem
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.level import SUN
 from skugga.terrain.level.pin_scope import PinScope
@@ -34,10 +35,10 @@ from skugga.terrain.level.rasters import is_level_raster
 from skugga.terrain.whole_files import write_whole
 
 POLICY_CHOSEN = ("map_size",)
-"""Settings that policies other than the rules choose for each view, so that they are pinned even where the rules agree."""
+"""Settings that all policies but the rules choose for each view. They are pinned even if the rules agree."""
 
 PINS = "pins"
-"""The key of the pins for some views and suns."""
+"""Key of the pins for some views and suns."""
 
 PIN_COMMENT = "#: Pinned by skugga select"
 PINNED_KEYS_COMMENT = "#: Pinned keys: "
@@ -53,26 +54,36 @@ _ALIAS = re.compile(r"\s*:\s*(\*[^\s,\[\]{}]+)")
 Pair = tuple[ScalarNode, Node]
 Edit = tuple[int, int, str]
 Comment = tuple[int, str]
-"""Where it begins, and its text from the ``#`` on."""
+"""Position of a comment in the text, and its text from the ``#`` on."""
 
 
 class ItemComments(NamedTuple):
-    """Comments at an item of a list: on lines above it, and behind it."""
+    """Comments at an item of a list.
+
+    Attributes
+    ----------
+    above
+        Comments on the lines above it.
+    behind
+        Comments on its own line.
+    """
 
     above: list[str]
     behind: list[str]
 
 
 def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[str, Any]:
-    """What a level has to say for a plan: ``algorithm`` of all that casts, and the settings that do not follow from it.
+    """Return the keys of ``shadows`` that pin a plan: ``algorithm`` of all casters, and the settings that do not follow from it.
 
-    A level has one value of a setting for all lights and kinds of casters: one that differs among them stays automatic. Raises
-    ``InputError`` where nothing casts.
+    A level has one value of a setting for all lights and kinds of casters. A setting with several values stays automatic. Raises
+    ``InputError`` if nothing casts shadows.
     """
     cast = {light: {kind: name for kind, name in kinds.items() if name != NO_SHADOWS} for light, kinds in plan.algorithm.items()}
     cast = {light: kinds for light, kinds in cast.items() if kinds}
     if not cast:
-        raise InputError("--write", f"view {plan.view}", "a view and a sun with a cast shadow")
+        raise InputError(
+            "--write", Problem(f"nothing casts a shadow in view {plan.view}"), "Choose a view and a sun with a cast shadow"
+        )
     chosen: dict[str, Any] = {"algorithm": cast[SUN] if list(cast) == [SUN] else cast}
     automatic = make_plan(descriptor, plan_request, chosen, choices={})
     for key in SETTING_NAMES:
@@ -84,39 +95,42 @@ def pins(plan: Plan, descriptor: Descriptor, plan_request: PlanRequest) -> dict[
 
 
 def pinned(path: Path) -> tuple[str, ...]:
-    """The keys of ``shadows`` that an earlier pin has written into a level file. Raises ``LevelError``."""
+    """Return the keys of ``shadows`` that an earlier pin wrote into a level file. Raises ``LevelError``."""
     match = _PIN.search(_read(path))
     return _keys_of(match.group()) if match else ()
 
 
 def unpinned_values(keys: Iterable[str]) -> dict[str, Any]:
-    """What keys of ``shadows`` say where nothing is pinned."""
+    """Return the values of keys of ``shadows`` without a pin."""
     return {key: [] if key == PINS else "auto" for key in keys}
 
 
 def pin(path: Path, chosen: Mapping[str, Any], why: Sequence[str]) -> None:
-    """Write what was chosen (keys of ``shadows``) into a level file, in the place of an earlier pin, with a comment.
+    """Write chosen keys of ``shadows`` into a level file with a comment, in the place of an earlier pin.
 
-    The file is replaced at once or not at all. Raises ``LevelError`` where it cannot be written, or not without changing more.
+    The file is replaced by an atomic write. Raises ``LevelError`` if it cannot be written, or only with changes elsewhere.
     """
     path = path.resolve()
     before = _read(path)
     if not (path.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH) and os.access(path, os.W_OK)):
-        raise LevelError(str(path), "read-only", "a level file that may be written")
+        raise LevelError(str(path), Problem("read-only"), "Make the file writable")
     after = pinned_text(before, chosen, why)
     if after is None:
         raise LevelError(
-            f"{path}: shadows", json.dumps(dict(chosen)), "keys written by hand: this file's layout cannot be edited safely"
+            f"{path}: shadows",
+            Problem("this file's layout cannot be edited safely"),
+            f"Write these keys by hand: {json.dumps(dict(chosen))}",
         )
     try:
         write_whole(path, after)
     except OSError as error:
-        raise LevelError(str(path), error.strerror or str(error), "a folder in which files may be written") from None
+        raise LevelError(str(path), Problem(error.strerror or str(error)), "Use a folder in which files can be written") from None
 
 
 def pinned_text(text: str, chosen: Mapping[str, Any], why: Sequence[str]) -> str | None:
-    """The text of a level with what was chosen under ``shadows`` and the comment above it; ``None`` where this cannot be done
-    without changing what else the text says.
+    """Return a level's text with the chosen keys under ``shadows`` and a comment above, or ``None``.
+
+    ``None`` means that this would change the meaning of other parts of the text.
     """
     before = _load(text)
     earlier = _PIN.search(text)
@@ -155,13 +169,13 @@ def _rewritten(text: str, wanted: Mapping[str, Any], why: Sequence[str]) -> str:
     start = _line_start(text, head.start_mark.index)
     indent = " " * (head.start_mark.column if head is not root else 0)
     edits.append((start, start, "".join(f"{line}{line_end}" for line in _comment(why, indent))))
-    for start, end, new in reversed(sorted(edits, key=lambda edit: edit[:2])):  # what comes first of edits at one place stays first
+    for start, end, new in reversed(sorted(edits, key=lambda edit: edit[:2])):  # edits at one position keep their order
         text = text[:start] + new + text[end:]
     return text
 
 
 def _changes(text: str, shadows: MappingNode, wanted: Mapping[str, Any], quoted: bool, line_end: str) -> list[Edit]:
-    """Values that are there changed in their place, others behind the last one."""
+    """Return the edits that change present keys in their place and append the others."""
     pairs: dict[str, Pair] = {key.value: (key, value) for key, value in shadows.value}
     comments = _comments_in(text)
     edits: list[Edit] = []
@@ -190,7 +204,7 @@ def _changes(text: str, shadows: MappingNode, wanted: Mapping[str, Any], quoted:
 
 
 def _is_list_of_lines(pair: Pair) -> bool:
-    """Whether a value is a list with a line an item, or one without items that may become one."""
+    """Return whether a pair is a list with an item a line, which can be replaced line by line."""
     key, value = pair
     if not isinstance(value, SequenceNode) or _is_alias(key, value) or (value.flow_style and value.value):
         return False
@@ -200,8 +214,9 @@ def _is_list_of_lines(pair: Pair) -> bool:
 def _list_replaced(
     text: str, pair: Pair, items: Sequence[Any], line_end: str, comments: Sequence[Comment]
 ) -> tuple[list[Edit], list[str]]:
-    """A list replaced by another one, a line an item, with the comments for which there is no place in that; what is said behind
-    its key stays.
+    """Return the edits that replace a list by another one, with an item a line, and the comments without a place in it.
+
+    The comment behind the list's key stays.
     """
     key, value = pair
     assert isinstance(value, SequenceNode)
@@ -232,12 +247,12 @@ def _list_replaced(
 
 
 def _scope(pin_of_list: Mapping[str, Any]) -> list[Any]:
-    """For which view and suns a pin is."""
+    """Return the scope of a pin: its view and suns."""
     return [pin_of_list.get(key) for key in PinScope.model_fields]
 
 
 def _comments_in(text: str) -> list[Comment]:
-    """All comments of a text, in order: what is no token of YAML and no space."""
+    """Return all comments of a text, in order: text that is neither a YAML token nor space."""
     comments, at = [], 0
     for token in YAML(typ="safe", pure=True).scan(text):
         comments += [(match.start(), match.group()) for match in _COMMENT.finditer(text, at, max(token.start_mark.index, at))]
@@ -251,23 +266,24 @@ def _inserted(text: str, pairs: list[Pair], new: Mapping[str, Any], quoted: bool
 
 
 def _filled(empty: MappingNode, new: Mapping[str, Any], quoted: bool) -> Edit:
-    """An empty mapping in braces, filled."""
+    """Return the edit that fills an empty mapping in braces."""
     insert_at = empty.end_mark.index - 1
     return insert_at, insert_at, _flow(new, quoted)[1:-1]
 
 
 def _span(text: str, pair: Pair) -> tuple[int, int]:
-    """Where a value begins and ends: without the comments and line ends that a parser counts with a block, and for an alias the
-    alias itself.
+    """Return the start and end of a value, or of the alias that stands for it.
+
+    Comments and line ends that the parser counts as part of a block are excluded.
     """
     key, value = pair
     if _is_alias(key, value):
         alias = _ALIAS.match(text, key.end_mark.index)
         if alias is None:
-            raise ValueError("an alias in no plain place")
+            raise ValueError("an alias that is not behind its key and colon")
         return alias.span(1)
     start = value.start_mark.index
-    if isinstance(value, MappingNode | SequenceNode) and not value.flow_style:  # its place is behind the colon, on the key's line
+    if isinstance(value, MappingNode | SequenceNode) and not value.flow_style:  # it begins behind the colon, on the key's line
         start = text.index(":", key.end_mark.index) + 1
     return start, _end(text, value)
 
@@ -281,18 +297,19 @@ def _end(text: str, node: Node) -> int:
 
 
 def _is_alias(key: Node, value: Node) -> bool:
-    """Whether a value stands elsewhere: its node is then the one that it is another name of."""
+    """Return whether a value is an alias: its node is then the one at the anchor, which stands elsewhere."""
     return value.start_mark.index < key.end_mark.index
 
 
 def _lines(pairs: Mapping[str, Any], indent: str, line_end: str) -> list[str]:
-    """Keys and values of a block, each on its line or lines."""
+    """Return keys and values of a block, each on its own line or lines."""
     return [f"{indent}{key}:{_block(value, indent, line_end)}" for key, value in pairs.items()]
 
 
 def _block(value: Any, indent: str, line_end: str, said: Mapping[int, ItemComments] | None = None) -> str:
-    """What stands behind a key and its colon: a list of mappings with a line an item and, by its number, what is said at it; else
-    the value on the key's own line.
+    """Return the text behind a key and its colon.
+
+    It is a list of mappings with an item a line, with comments by the item's number, or else the value on the key's own line.
     """
     if not (isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value)):
         return f" {_flow(value, quoted=False)}"
@@ -304,7 +321,7 @@ def _block(value: Any, indent: str, line_end: str, said: Mapping[int, ItemCommen
 
 
 def _flow(value: Any, quoted: bool) -> str:
-    """A value on one line; strings in quotes where the file has them, or where they would be read as something else."""
+    """Return a value on one line. Strings are quoted if the file quotes them, or if YAML would read them as another type."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(_flow(item, quoted) for item in value)}]"
     if isinstance(value, Mapping):
@@ -320,7 +337,7 @@ def _comment(why: Sequence[str], indent: str) -> list[str]:
 
 
 def _values(plan: Plan, key: str) -> dict[tuple[str, str], Any]:
-    """A setting's values by light and kind of casters, of those that have it."""
+    """Return the values of a setting by light and kind of casters."""
     values: dict[tuple[str, str], Any] = {}
     for light, kinds in plan.settings.items():
         for kind, settings in kinds.items():
@@ -350,9 +367,9 @@ def _load(text: str) -> Any:
 
 def _read(path: Path) -> str:
     if is_level_raster(path):
-        raise LevelError(str(path), "a raster", "a level file to write into: a YAML file with 'terrain: {source: ...}'")
+        raise LevelError(str(path), Problem("a raster, not a level file"), "Use a YAML file with 'terrain: {source: ...}'")
     try:
         return path.read_bytes().decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "not UTF-8 text"
-        raise LevelError(str(path), reason, "a readable YAML file") from None
+        raise LevelError(str(path), Problem(reason), "Use a readable YAML file") from None

@@ -1,4 +1,4 @@
-"""The choices that policies choose among: every capable algorithm by itself and in useful company, over settings."""
+"""The choices that policies select from: every capable algorithm, alone and in useful combinations, with several settings."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import CasterKind, Shadows
 
 MAX_CHOICES = 40
-"""Picks of a light, at most; the last of ``combinations`` is cut off first."""
+"""Choices for a light, at most. The last ``combinations`` are dropped first."""
 
 SHORT = {"map_size": "{}", "cascades": "x{}"}
-"""How settings are written in a choice's name; others with their key."""
+"""Formats of settings in a choice's name. Other settings are written with their key."""
 
 
 def combinations() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
-    """Algorithms by kind of casters, by name: each by itself, as far as it serves, then mixes. What is not named goes by maps."""
+    """Return combinations of algorithms by kind of casters, each with a name.
+
+    First comes each algorithm alone, for the kinds that it serves, then the mixes. Shadow maps draw the kinds without an entry.
+    """
     by_themselves = [
         (_alone(each), {kind: each.name for kind in get_args(CasterKind) if kind not in each.refuses})
         for each in selectable_algorithms()
@@ -31,19 +34,20 @@ def combinations() -> list[tuple[str, Mapping[CasterKind, AlgorithmName]]]:
 
 
 def tuned_settings() -> tuple[str, ...]:
-    """The fields of ``Shadows`` that choices set."""
+    """Return the fields of ``Shadows`` that choices set."""
     return tuple(dict.fromkeys(key for each in selectable_algorithms() for key in each.search.tuned))
 
 
 def portfolio(descriptor: Descriptor, light: str, kinds: Collection[CasterKind], asked: Shadows | None = None) -> list[Choice]:
-    """The choices for a light and the kinds of casters that cast at all: at most ``MAX_CHOICES``, no two that come to the same, all
-    of which can do what is ``asked`` of the shadows.
+    """Return the choices for a light and the kinds of casters that cast under it.
+
+    There are at most ``MAX_CHOICES``, no two of them equivalent. All of them support the ``asked`` shadow settings.
     """
     return list(islice(_distinct(descriptor, light, [kind for kind in descriptor.casters if kind in kinds], asked), MAX_CHOICES))
 
 
 def _alone(algorithm: Algorithm) -> str:
-    """The name of an algorithm by itself: with that of the maps where it leaves them meshes."""
+    """Return the name of an algorithm alone. It includes the fallback's name if the algorithm refuses meshes."""
     return f"{algorithm.name}+{FALLBACK}" if "meshes" in algorithm.refuses else algorithm.name
 
 
@@ -64,7 +68,7 @@ def _distinct(descriptor: Descriptor, light: str, kinds: list[CasterKind], asked
 
 
 def _settings(descriptor: Descriptor, light: str, together: list[Algorithm]) -> Iterator[dict[str, Any]]:
-    """What is turned of algorithms that work together."""
+    """Yield the settings to try for algorithms that work together."""
     tuned: dict[str, tuple[Any, ...]] = {}
     for each in together:
         for key, values in each.search.tuned.items():

@@ -1,6 +1,6 @@
-"""The ``predict`` policy: of the portfolio the choice whose expected time and error a target asks for.
+"""The policy ``predict``: choose the option whose expected time and error meet a target.
 
-What is expected comes from models, and where some choices were seen (probed on the scene itself), from that.
+Expectations come from models. Observations, from probes on the scene itself, correct them.
 """
 
 from __future__ import annotations
@@ -25,13 +25,23 @@ from skugga.shadows.registry import ALGORITHMS
 from skugga.terrain.facts.descriptor import Descriptor
 from skugga.terrain.level.algorithm_names import AlgorithmName
 
-NOT_PREDICTED = "nothing can be predicted, so the rules decide"
+NOT_PREDICTED = "no prediction is possible, so fixed rules choose"
 
 
 @dataclass(frozen=True, eq=False)
 class PlanOptions:
-    """What a plan is chosen from: the options of each light that casts shadows, and why algorithms are not among them; ``seen_as``
-    is the word for what is known of those that were seen.
+    """The options of a plan.
+
+    Attributes
+    ----------
+    planner
+        Planner of the view.
+    lights
+        Options by light, for each light that casts shadows.
+    unmeasured
+        Reasons why algorithms are not among the options.
+    seen_as
+        Word for figures of observed options.
     """
 
     planner: Planner
@@ -40,7 +50,7 @@ class PlanOptions:
     seen_as: str = "measured"
 
     def how(self, light: str, which: int) -> str:
-        """How what is said of an option is known."""
+        """Return the word for how the figures of an option are known."""
         return self.seen_as if which in self.lights[light].seen else "expected"
 
     @property
@@ -48,7 +58,7 @@ class PlanOptions:
         return self.planner.asked.max_error
 
     def shares_ms(self) -> dict[str, float | None]:
-        """Of the time for all lights the part of each: as much as it would take without a limit, in proportion."""
+        """Return the part of the time limit for each light, in proportion to its time without a limit."""
         max_ms = self.planner.asked.max_ms
         if max_ms is None:
             return dict.fromkeys(self.lights)
@@ -65,11 +75,32 @@ def predicted_plan(
     errors: ErrorModel | None = None,
     seen: Mapping[str, Sequence[Seen]] | None = None,
 ) -> Plan:
-    """The plan of the choices with the least expected loss (``skugga.selector.expected_loss``): the cheapest that are likely to
-    meet ``max_error``, or the most accurate within ``max_ms``; where none is, the nearest, marked as missing the target. ``errors``
-    are other constants than those fitted, ``seen`` by light what was seen of choices.
+    """Return the plan of the choices with the least expected loss (``skugga.selector.expected_loss``).
 
-    Raises ``InputError`` and ``UnsupportedError`` as ``make_plan`` does.
+    These are the fastest choices that are likely to meet ``max_error``, or the most accurate ones within ``max_ms``. Otherwise they
+    are the nearest ones, and the plan is marked as missing the target.
+
+    Parameters
+    ----------
+    descriptor
+        Facts of the view.
+    plan_request
+        The level, or a ``StandaloneRequest``.
+    overrides
+        Fields of ``Shadows`` that the request sets.
+    device
+        Calibration of the device.
+    errors
+        Error model instead of the packaged one.
+    seen
+        Observations of choices by light.
+
+    Raises
+    ------
+    InputError
+        An override is wrong.
+    UnsupportedError
+        An override cannot be served.
     """
     expected = plan_options(planner_of(descriptor, plan_request, overrides), device, errors)
     if not seen:
@@ -80,7 +111,7 @@ def predicted_plan(
 
 
 def _changed(before: PlanOptions, after: PlanOptions) -> list[Reasoned]:
-    """What was seen of choices, and what that changed."""
+    """Return the observations of choices, and the change that they made."""
     reasons: list[Reasoned] = []
     if not all(its.numbers for its in after.lights.values()):
         return reasons
@@ -89,7 +120,7 @@ def _changed(before: PlanOptions, after: PlanOptions) -> list[Reasoned]:
             continue
         shown = [f"{each.choice} {format_percent(each.error)} wrong in {format_duration(each.ms)}" for each in its.seen.values()]
         was, now = (options.lights[light].options[_winner(options, light)].choice.name for options in (before, after))
-        verdict = f"{now} as without it" if was == now else f"{now} in place of {was}"
+        verdict = f"the choice remains {now}" if was == now else f"the choice is {now} instead of {was}"
         reasons.append(Reasoned(name=f"{light}: probe", reason=f"maps like this one were probed: {', '.join(shown)}; {verdict}"))
     return reasons
 
@@ -100,7 +131,7 @@ def _winner(options: PlanOptions, light: str) -> int:
 
 
 def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | None = None) -> PlanOptions:
-    """What a plan is chosen from, before anything was seen."""
+    """Return the options of a plan with their prior distributions."""
     unmeasured: dict[AlgorithmName, str] = {}
     lights = {}
     for light in planner.lights:
@@ -111,7 +142,7 @@ def plan_options(planner: Planner, device: DeviceProfile, errors: ErrorModel | N
 
 
 def plan_of(options: PlanOptions, policy: PolicyName, reasons: Sequence[Reasoned] = ()) -> Plan:
-    """The plan of what is believed of the options, with what speaks for it; ``reasons`` are others."""
+    """Return the plan of the best options, with the reasons for them. ``reasons`` are further reasons of the plan."""
     planner, max_error = options.planner, options.max_error
     if not all(its.numbers for its in options.lights.values()):
         return _by_rules(options)
@@ -140,7 +171,7 @@ def plan_of(options: PlanOptions, policy: PolicyName, reasons: Sequence[Reasoned
 
 
 def _by_rules(options: PlanOptions) -> Plan:
-    """The plan of the rules, where for some light nothing that can be taken has been measured."""
+    """Return the plan of the rules, for a view with a light whose options are all unmeasured."""
     planner = options.planner
     plan = planner.plan(choices_by_rules(planner.descriptor, planner.asked, planner.lights), options.unmeasured)
     why = "; ".join(f"{name}: {why}" for name, why in options.unmeasured.items())
@@ -148,36 +179,38 @@ def _by_rules(options: PlanOptions) -> Plan:
 
 
 def _with_words(options: PlanOptions, light: str, which: int, verdict: RankingResult) -> Choice:
-    """The choice with the reasons for it."""
+    """Return the choice with the reasons for it."""
     its, max_error = options.lights[light], options.max_error
     winner, figures = its.options[which], its.figures(which)
     expectation = (
-        f"{format_percent(figures.error)} of the cast shadow wrong in {format_duration(figures.ms)} {options.how(light, which)}"
+        f"{options.how(light, which)}: {format_percent(figures.error)} of the cast shadow wrong in {format_duration(figures.ms)}"
     )
     settings = " ".join(f"{key} {value}" for key, value in winner.choice.settings.items())
     if not verdict.met:
-        why = f"{expectation}: nothing is expected to meet the target, and this comes nearest"
+        why = f"{expectation}; no choice is expected to meet the target, and this one comes nearest"
     else:
         why = f"{expectation}, {_chance(its, which, max_error)}; "
         others = [number for number in its.numbers if its.options[number].algorithms != winner.algorithms]
         likely = [number for number in others if its.miss_chance(number, max_error) <= LIKELY_MISS_CHANCE]
         beside = min(likely, key=lambda number: its.figures(number).ms, default=None)
         if beside is None:
-            why += f"nothing else is expected to keep to {_limit(max_error)}"
+            why += f"no other choice is expected to stay within {_limit(max_error)}"
         elif (ms := its.figures(beside).ms) >= figures.ms:
             why += (
                 f"the fastest other choice within {_limit(max_error)} is {its.options[beside].choice.name}, {format_duration(ms)}"
             )
         else:
             why += f"{its.options[beside].choice.name} would take {format_duration(ms)} {_chance(its, beside, max_error)}"
-    sizes = f"needed for the target ({settings})"
+    sizes = f"chosen for the target ({settings})"
     kinds = options.planner.casting(light)
     return replace(winner.choice, why={**dict.fromkeys(kinds, why), **dict.fromkeys(winner.choice.settings, sizes)})
 
 
 def _chance(its: LightOptions, which: int, max_error: float) -> str:
     chance = its.miss_chance(which, max_error)
-    return f"with {'hardly a' if chance < 0.01 else f'a {format_percent(chance)}'} chance of more than {_limit(max_error)}"
+    return (
+        f"with {'less than a 1 %' if chance < 0.01 else f'a {format_percent(chance)}'} chance of an error over {_limit(max_error)}"
+    )
 
 
 def _limit(max_error: float) -> str:
@@ -185,7 +218,7 @@ def _limit(max_error: float) -> str:
 
 
 def _rejected(options: PlanOptions, winners: Mapping[str, int]) -> dict[AlgorithmName, str]:
-    """Why algorithms that could serve were not taken: the best that was expected of them, or seen."""
+    """Return why algorithms that could serve are not used: the best expected or observed result of each."""
     reasons: dict[AlgorithmName, str] = {}
     max_error = options.max_error
     for name in ALGORITHMS:
@@ -199,7 +232,7 @@ def _rejected(options: PlanOptions, winners: Mapping[str, int]) -> dict[Algorith
             if verdict.met:
                 reasons[name] = (
                     f"{how}: {format_duration(verdict.winner.ms)} with {verdict.winner.name}, {_chance(its, nearest, max_error)}; "
-                    f"{format_duration(its.figures(winners[light]).ms)} with the choice"
+                    f"the choice takes {format_duration(its.figures(winners[light]).ms)}"
                 )
             else:
                 reasons[name] = f"{how} at best: {verdict.missed_by}"

@@ -1,4 +1,4 @@
-"""Who wins: of candidates with a time and an error, measured or predicted, the one that a target asks for. Pure arithmetic."""
+"""Select the best of candidates with a time and an error, measured or predicted, for a target. Pure arithmetic."""
 
 from __future__ import annotations
 
@@ -10,13 +10,23 @@ from skugga.shadows.registry import NO_SHADOWS
 from skugga.shadows.truth.metrics import MOST_INTERIOR
 
 TIME_TIE_RATIO = 1.05
-"""Times that lie as close as this count as one: the more accurate of two such candidates is taken."""
+"""Times within this ratio count as equal. The more accurate candidate then wins."""
 
 
 @dataclass(frozen=True)
 class CandidateFigures:
-    """A candidate's: shadow milliseconds of the view, ``error`` as the target counts it (``wrong_cast``, or ``coverage``), and the
-    share of interior errors; shares in [0, 1].
+    """Time and errors of a candidate.
+
+    Attributes
+    ----------
+    name
+        Name of the candidate.
+    ms
+        Shadow time of the view, milliseconds.
+    error
+        The error that the target limits (``wrong_cast`` or ``coverage``), in [0, 1].
+    interior
+        Share of interior errors, in [0, 1].
     """
 
     name: str
@@ -27,7 +37,17 @@ class CandidateFigures:
 
 @dataclass(frozen=True)
 class RankingResult:
-    """The winner, whether it meets the target, and if it does not, by how much."""
+    """The best candidate for a target.
+
+    Attributes
+    ----------
+    winner
+        The candidate.
+    met
+        Whether it meets the target.
+    missed_by
+        The overshoot in words, if it misses the target.
+    """
 
     winner: CandidateFigures
     met: bool
@@ -37,20 +57,20 @@ class RankingResult:
 def best(
     candidates: Sequence[CandidateFigures], max_error: float, max_ms: float | None = None, tie_ratio: float = TIME_TIE_RATIO
 ) -> RankingResult:
-    """The candidate that a target asks for.
+    """Return the best candidate for a target.
 
-    1. Of those that meet the error (and the interior) within the time, the cheapest; of times within ``tie_ratio`` of the least,
-    the most
-       accurate.
-    2. Else, of those within the time that is asked for, one without interior failure before one with it, then the most accurate.
-    3. Else the nearest: the least of the larger of the overshoots, each relative to what is allowed.
+    1. The cheapest candidate that meets the limits of error, interior error and time. Of times within ``tie_ratio`` of the least,
+       the most accurate candidate wins.
+    2. Otherwise, the most accurate candidate within the time limit. Candidates without an interior failure come before those with
+       one.
+    3. Otherwise, the candidate with the smallest overshoot: the largest of its overshoots relative to their limits.
 
-    What still ties goes by error, interior, time and name. ``none`` is never taken because an error happens to be small: only where
-    there is nothing else. Raises ``ValueError`` where there is nothing at all.
+    Remaining ties are resolved by error, interior error, time and name. ``none`` wins only if it is the only candidate: a small
+    error alone does not count for it. Raises ``ValueError`` without candidates.
     """
     capable = [figures for figures in candidates if figures.name != NO_SHADOWS] or list(candidates)
     if not capable:
-        raise ValueError("of no candidates there is no best one")
+        raise ValueError("no candidates. Pass at least one.")
     in_time = [figures for figures in capable if max_ms is None or figures.ms <= max_ms]
     accurate = [figures for figures in in_time if figures.error <= max_error and figures.interior <= MOST_INTERIOR]
     if accurate:
@@ -66,9 +86,9 @@ def best(
 
 
 def relative_overshoot(figures: CandidateFigures, max_error: float, max_ms: float | None = None) -> float:
-    """The larger of the overshoots of error, interior and time, each relative to what is allowed; 0 where the target is met.
+    """Return the largest relative overshoot of error, interior error and time over their limits. 0 means that the target is met.
 
-    An error's is held against ``MOST_INTERIOR`` at least, so that a target of no error has a nearest candidate, too.
+    The overshoot of the error is divided by ``MOST_INTERIOR`` at least, so that it is finite for a target of 0.
     """
     return max(
         0.0,
@@ -79,7 +99,7 @@ def relative_overshoot(figures: CandidateFigures, max_error: float, max_ms: floa
 
 
 def _clean(figures: CandidateFigures, max_error: float) -> float:
-    """0 without interior failure, else how bad that or the error is."""
+    """Return 0 without an interior failure, else the relative overshoot."""
     return 0.0 if figures.interior <= MOST_INTERIOR else relative_overshoot(figures, max_error)
 
 

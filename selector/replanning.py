@@ -1,19 +1,19 @@
-"""Plans while a camera moves: new ones only where they are needed or clearly better, and switches that nobody sees.
+"""Plan the frames of a moving camera: keep choices while they serve, and switch without a visible jump.
 
-Settings that follow from the view (the ranges of cascades, the sides of texels, depth steps, effects) are always those of the
-present view. Algorithms, map sizes and numbers of cascades are kept as long as they serve. A new choice is taken
+Settings that follow from the view (ranges of cascades, texel sizes, depth steps, effects) always belong to the present view.
+Algorithms, map sizes and numbers of cascades are kept while they serve. A new choice is made
 
-- at once, where the old one cannot serve: a kind of casters throws shadows that nothing was chosen for, the view or what is asked
-  is of another kind, another of the level's pins holds, an algorithm refuses the view; and where the target is missed by more
-  than ``IMMEDIATE_SWITCH``;
+- at once, if the previous one cannot serve: a kind of casters without an algorithm casts shadows, the request or the kind of view
+  changes, another pin of the level applies, or an algorithm refuses the view. The same holds if the target is missed by more than
+  ``IMMEDIATE_SWITCH``;
 - after ``PATIENCE`` plans in a row that are better by a margin: ``SWITCH_TIME_GAIN`` of the time, or ``SWITCH_ERROR_GAIN`` of the
-  target. The way back takes as large a margin, so that a camera at a border does not flip; and because expectations are
-  uncertain, each further switch takes twice the patience, until other kinds of casters throw shadows.
+  target. The way back takes the same margin, so that a camera at a border does not flip between two choices. Because expectations
+  are uncertain, each further switch takes twice the patience, until other kinds of casters cast shadows.
 
-Two plans that both keep to an error of a few per cent of the cast shadow differ in up to some per cent of the pixels: most of
-them lie on edges, where errors do not count. So the old plan is drawn, too, as long as it takes to keep each frame below
-``MOST_CHANGED``, and ``mixed_pictures`` mixes the two. How long that is can only be expected beforehand, and far too short;
-``Replanner.share`` tells it from the two pictures.
+Two plans with an error of a few per cent of the cast shadow differ in up to some per cent of the pixels. Most of these lie on
+edges, where errors do not count. So the previous plan is drawn in parallel, for as many frames as are needed to keep each frame's
+change below ``MOST_CHANGED``, and ``mixed_pictures`` mixes the two pictures. The expected number of frames is far too low;
+``Replanner.share`` derives the real one from the two pictures.
 """
 
 from __future__ import annotations
@@ -42,30 +42,38 @@ if TYPE_CHECKING:
     from skugga.selector.cost.device_profile import DeviceProfile
 
 SWITCH_TIME_GAIN = 0.2
-"""Share of the time that a new plan must save ..."""
+"""Share of the time that a new plan must save to count as better."""
 
 SWITCH_ERROR_GAIN = 0.1
-"""... or share of the target by which the old one must miss it more than the new one ..."""
+"""Share of the target by which the kept plan must miss it more than the new one, for the new one to count as better."""
 
 PATIENCE = 5
-"""... in so many plans in a row."""
+"""Better plans in a row that a switch takes."""
 
 IMMEDIATE_SWITCH = 0.5
-"""Share of the target that is not to be missed for a single plan."""
+"""Overshoot, as a share of the target, that leads to an immediate switch."""
 
 MOST_CHANGED = 0.002
-"""Share of the pixels that a switch may change from one frame to the next."""
+"""Share of the pixels, at most, that a switch changes from one frame to the next."""
 
 SHORTEST, LONGEST = 2, 30
-"""Frames that a switch is expected to take, at least and at most: the first has two pictures to go by."""
+"""Limits of the expected number of frames of a switch. The first frame has both pictures, which give the real number."""
 
 PlanFunction = Callable[[Descriptor, PlanRequest, dict[str, Any] | None], Plan]
-"""A policy: ``skugga.selector.select.select``, or what behaves like it."""
+"""A policy: ``skugga.selector.select.select``, or a function with its parameters."""
 
 
 @dataclass(frozen=True)
 class PlanTransition:
-    """A switch under way: the plan that is left, for the present view, and the share of the pixels that show the new one."""
+    """A switch under way.
+
+    Attributes
+    ----------
+    plan
+        The previous choices' plan for the present view.
+    share
+        Share of the pixels that show the new plan.
+    """
 
     plan: Plan
     share: float
@@ -73,9 +81,30 @@ class PlanTransition:
 
 @dataclass(frozen=True)
 class PlanState:
-    """What stands after a plan: the plan, its choices by light, what was asked; how many better plans in a row a switch takes, and
-    how many there were; the choices that a switch leaves, with the share of the pixels that showed the new ones a frame ago, and by
-    how much it grows with the next. ``why`` other choices were taken with this plan, if they were.
+    """The state of a ``Replanner`` after a plan.
+
+    Attributes
+    ----------
+    plan
+        The plan.
+    choices
+        Its choices by light.
+    asked
+        The request: it must not change while choices are kept.
+    patience
+        Better plans in a row that the next switch takes.
+    better_for
+        Better plans in a row so far.
+    left
+        The previous choices by light, during a switch.
+    shown
+        Share of the pixels that showed the new choices in the frame before.
+    step
+        Growth of this share with the next frame.
+    handover
+        The switch under way, or ``None``.
+    why
+        Why this plan has other choices than the one before, or ``None``.
     """
 
     plan: Plan
@@ -91,10 +120,10 @@ class PlanState:
 
 
 class Replanner:
-    """Plans for one frame after the other of a view that moves.
+    """Plans successive frames of a moving view.
 
-    ``policy`` and ``device`` are those of ``skugga.selector.select.select``; ``plans`` stands in for it. With the ``state`` of
-    another one it goes on from there: a state is a value, which other processes take.
+    ``policy`` and ``device`` are parameters of ``skugga.selector.select.select``. ``plans`` replaces that function. ``state``
+    continues another replanner: a state is an immutable value, and other processes can use it.
 
     >>> replanner = Replanner(device=load_profile(renderer, version))           # doctest: +SKIP
     >>> for view in path:                                                       # doctest: +SKIP
@@ -118,18 +147,20 @@ class Replanner:
 
     @property
     def state(self) -> PlanState | None:
-        """What stands after the last plan."""
+        """The state after the last plan."""
         return self._standing
 
     def plan(self, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Plan:
-        """The next frame's plan. Raises as ``skugga.selector.select.select`` does."""
+        """Return the next frame's plan. Raises the errors of ``skugga.selector.select.select``."""
         self._standing = next_state(self._standing, descriptor, plan_request, overrides, self._plans)
         return self._standing.plan
 
     def share(self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]) -> float:
-        """The share of the pixels to show the new plan in this frame of a switch, for its pictures by the plan that is left and by
-        the new one (``Frame.visibilities``): then no frame changes more than ``MOST_CHANGED`` of the surface's pixels. The switch
-        lasts until this has been 1. Called once a frame; 1 where no switch is under way.
+        """Return the share of the pixels that show the new plan in this frame of a switch.
+
+        ``before`` and ``after`` are the visibilities (``Frame.visibilities``) of the pictures by the previous and the new plan.
+        With this share no frame changes more than ``MOST_CHANGED`` of the surface's pixels. The switch ends after a share of 1.
+        Call this once a frame. Returns 1 without a switch.
         """
         state = self._standing
         if state is None or state.handover is None:
@@ -140,12 +171,12 @@ class Replanner:
 
     @property
     def handover(self) -> PlanTransition | None:
-        """The switch that the last plan belongs to, if one is under way."""
+        """The switch of the last plan, or ``None``."""
         return None if self._standing is None else self._standing.handover
 
     @property
     def why(self) -> str | None:
-        """Why the last plan has other choices than the one before it, where it has."""
+        """Why the last plan has other choices than the one before, or ``None``."""
         return None if self._standing is None else self._standing.why
 
 
@@ -156,7 +187,7 @@ def next_state(
     overrides: dict[str, Any] | None,
     plans: PlanFunction,
 ) -> PlanState:
-    """What stands after the next plan."""
+    """Return the state after the next plan."""
     fresh = plans(descriptor, plan_request, overrides)
     pin = plan_request.shadows.pin_for(descriptor.view, descriptor.sun_altitude_deg)
     request = (descriptor.view_kind, plan_request.shadows, pin, plan_request.effects, overrides or {})
@@ -166,14 +197,14 @@ def next_state(
     if state is None:
         return next_standing
     if state.asked != request:
-        return replace(next_standing, why="something else is asked for, or another of the level's pins holds")
+        return replace(next_standing, why="the request changed, or another pin of the level applies")
     state = replace(state, why=None)
     try:
         kept = make_plan(descriptor, plan_request, overrides, state.choices)
         same_choices = _choices(choices_of(kept)) == _choices(choices)
         kept = fresh if same_choices else _judged(kept, descriptor, plan_request, overrides, plans)
     except UnsupportedError as error:
-        return replace(next_standing, why=f"what was chosen cannot serve: {error.allowed}")
+        return replace(next_standing, why=f"the previous choice cannot draw this view: {error.allowed}")
     state = replace(state, plan=kept)
     if state.handover is not None and state.left is not None:
         return _going_on(state, state.handover, state.left, descriptor, plan_request, overrides)
@@ -187,7 +218,7 @@ def next_state(
         return replace(state, better_for=state.better_for + 1)
     next_standing = replace(next_standing, why=_why(fresh, kept, unpicked, state.better_for + 1))
     next_standing = next_standing if unpicked else replace(next_standing, patience=2 * state.patience)
-    if unpicked == cast:  # nothing of it was drawn before: there is nothing to hand over
+    if unpicked == cast:  # none of it was drawn before, so no transition is needed
         return next_standing
     step = 1.0 / max(transition_frames(kept, fresh), SHORTEST)
     return replace(next_standing, left=state.choices, step=step, handover=PlanTransition(kept, step))
@@ -201,20 +232,23 @@ def _going_on(
     plan_request: PlanRequest,
     overrides: dict[str, Any] | None,
 ) -> PlanState:
-    """What stands in the next frame of a switch, or at its end."""
+    """Return the state in the next frame of a switch, or at its end."""
     ended = replace(state, left=None, handover=None)
     share = handover.share + state.step
     if share > 1.0 - 1e-9:
         return ended
     try:
         plan = make_plan(descriptor, plan_request, overrides, left)
-    except UnsupportedError:  # what is left no longer serves
+    except UnsupportedError:  # the previous choices cannot draw this view
         return ended
     return replace(state, shown=handover.share, handover=PlanTransition(plan, share))
 
 
 def is_better(fresh: Plan, kept: Plan) -> bool:
-    """Whether a plan is better than another by a margin; where nothing is predicted, what the policy would rather take is."""
+    """Return whether a plan is better than the kept one by a margin.
+
+    Without predictions, the policy's own plan counts as better.
+    """
     if fresh.predicted is None or kept.predicted is None:
         return True
     if _miss(kept) > _miss(fresh):
@@ -223,31 +257,35 @@ def is_better(fresh: Plan, kept: Plan) -> bool:
 
 
 def _why(fresh: Plan, kept: Plan, unpicked: set[tuple[str, CasterKind]], plans_in_a_row: int) -> str:
-    """Why a plan is taken instead of the one that was kept."""
+    """Return the reason for a plan that replaces the kept one."""
     if unpicked:
-        return f"shadows of {format_list(sorted({kind for _, kind in unpicked}))}, for which nothing was chosen yet"
+        return f"no algorithm was chosen yet for shadows of {format_list(sorted({kind for _, kind in unpicked}))}"
     if fresh.predicted is None or kept.predicted is None:
-        return f"the rules take it, for {plans_in_a_row} frames in a row"
+        return f"chosen by the rules for {plans_in_a_row} frames in a row"
     expected = [
         f"{format_duration(plan.predicted.ms)} and {format_percent(plan.predicted.wrong_cast)} wrong"
         for plan in (fresh, kept)
         if plan.predicted is not None
     ]
-    return f"{expected[0]} expected instead of {expected[1]}, for {plans_in_a_row} frames in a row"
+    return f"expected {expected[0]} instead of {expected[1]}, for {plans_in_a_row} frames in a row"
 
 
 def transition_frames(kept: Plan, fresh: Plan) -> int:
-    """The frames that a switch is expected to take. Pixels that two plans differ in are wrong in one of them; how many differ where
-    nothing counts as wrong, on edges, is not foreseen.
+    """Return the expected number of frames of a switch.
+
+    Pixels that differ between two plans are wrong in one of them. Pixels on edges differ, too, without counting as wrong; their
+    number is unknown.
     """
     predicted = [plan.predicted.wrong if plan.predicted else plan.target.max_error for plan in (kept, fresh)]
     return int(np.clip(np.ceil(sum(predicted) / MOST_CHANGED), 1, LONGEST))
 
 
 def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], last_share: float) -> float:
-    """The share of the pixels to show ``after`` when it was ``last_share`` a frame ago, for the visibilities (rows, cols) of each
-    light in the two pictures of a view, NaN where there is no surface: the largest with which no more than ``MOST_CHANGED`` of
-    the surface's pixels (one, if that is less) change from shadow to light or back.
+    """Return the share of the pixels that show ``after``, given ``last_share`` in the frame before.
+
+    ``before`` and ``after`` are the visibilities (rows, cols) of each light in two pictures of a view, NaN off the surface. The
+    result is the largest share with which at most ``MOST_CHANGED`` of the surface's pixels, but at least one, change between shadow
+    and light.
     """
     differ = np.logical_or.reduce([(before[light] < 0.5) != (after[light] < 0.5) for light in after])
     there = np.logical_or.reduce([~np.isnan(visibility) for visibility in after.values()])
@@ -258,30 +296,31 @@ def next_share(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]
 
 
 def mixed_pictures(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
-    """Two pictures (rows, cols, ...) of one view mixed: an evenly spread ``share`` of the pixels shows ``after``, more and more of
-    them the same ones.
+    """Mix two pictures (rows, cols, ...) of one view: an evenly spread ``share`` of the pixels shows ``after``.
 
-    The order of the pixels is that of the R2 sequence (M. Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, 2018).
+    A growing share adds pixels and removes none. Pixels are ordered by the R2 sequence (M. Roberts, The Unreasonable Effectiveness
+    of Quasirandom Sequences, 2018).
     """
     order = _order(*before.shape[:2])
     return np.where((order < share).reshape(*order.shape, *(1,) * (before.ndim - 2)), after, before)
 
 
 def _order(rows: int, cols: int) -> np.ndarray:
-    """From which share on a pixel shows what is new, (rows, cols) in [0, 1)."""
+    """Return the share from which on each pixel shows the new picture, (rows, cols) in [0, 1)."""
     row, col = np.ogrid[:rows, :cols]
     return (row / 1.32471795724474602596 + col / 1.32471795724474602596**2) % 1.0
 
 
 def casting(plan: Plan) -> dict[str, frozenset[CasterKind]]:
-    """The kinds of casters that cast, by light."""
+    """Return the kinds of casters that cast shadows, by light."""
     return {light: frozenset(kind for kind, name in kinds.items() if name != NO_SHADOWS) for light, kinds in plan.algorithm.items()}
 
 
 def choices_of(plan: Plan) -> dict[str, Choice]:
-    """What a plan chose for each light: algorithms, map size and number of cascades, as far as one number holds for all.
+    """Return a plan's choices by light: algorithms, map size and number of cascades, where one number holds for all kinds.
 
-    What else a plan resolves from a view may come out otherwise by its choices: where cascades end, if their number was not given.
+    Other settings may differ when they are resolved again from these choices: for example the ends of cascades, if their number was
+    not set.
     """
     choices = {}
     for light, per_kind in plan.algorithm.items():
@@ -290,7 +329,7 @@ def choices_of(plan: Plan) -> dict[str, Choice]:
         found = {key: {asked[key] for asked in resolved if key in asked} for key in tuned_settings()}
         settings = {key: values.pop() for key, values in found.items() if len(values) == 1}
         words = [*dict.fromkeys(algorithm.values()), *map(str, settings.values())]
-        why = dict.fromkeys([*algorithm, *settings], "kept: nothing else is better by a margin")
+        why = dict.fromkeys([*algorithm, *settings], "kept: no other choice is clearly better")
         choices[light] = Choice(" ".join(words), algorithm, settings, why)
     return choices
 
@@ -298,7 +337,7 @@ def choices_of(plan: Plan) -> dict[str, Choice]:
 def _judged(
     kept: Plan, descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None, plans: PlanFunction
 ) -> Plan:
-    """A plan of choices with what the policy expects of it."""
+    """Return the kept plan with the policy's predictions of it."""
     judged = plans(descriptor, plan_request, {**(overrides or {}), **_as_overrides(choices_of(kept))})
     reasons = [*kept.reasons, *(reasoned for reasoned in judged.reasons if reasoned.name.startswith("target"))]
     expected = {"policy": judged.policy, "predicted": judged.predicted, "target": judged.target, "reasons": reasons}
@@ -306,7 +345,7 @@ def _judged(
 
 
 def _joined(choices: Mapping[str, Choice], more: Mapping[str, Choice]) -> dict[str, Choice]:
-    """Choices that agree on what casts now, joined: what has ceased to cast keeps its choice for when it is back."""
+    """Return choices that agree on the present casters, joined. A kind that casts no longer keeps its choice."""
     before = {light: choices.get(light, choice) for light, choice in more.items()}
     return {
         light: replace(
@@ -319,7 +358,7 @@ def _joined(choices: Mapping[str, Choice], more: Mapping[str, Choice]) -> dict[s
 
 
 def _as_overrides(choices: Mapping[str, Choice]) -> dict[str, Any]:
-    """The overrides that lead to choices; a setting that lights differ in is left to the policy."""
+    """Return the overrides that lead to choices. The policy decides on a setting that differs between lights."""
     out: dict[str, Any] = {"algorithm": {light: dict(choice.algorithm) for light, choice in choices.items() if choice.algorithm}}
     for key in tuned_settings():
         values = {choice.settings[key] for choice in choices.values() if key in choice.settings}
@@ -333,8 +372,9 @@ def _choices(choices: Mapping[str, Choice]) -> dict[str, tuple[dict[CasterKind, 
 
 
 def _miss(plan: Plan) -> float:
-    """By how much of it a plan is expected to miss its target; one that misses it by what is not told (interior errors) by a
-    little.
+    """Return the relative overshoot of a plan's expected error and time.
+
+    A miss by interior errors, which are not predicted, counts a little.
     """
     if plan.predicted is None:
         return 0.0

@@ -1,4 +1,4 @@
-"""What was seen of a choice that was drawn."""
+"""Observed error and time of a choice that was drawn."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class Seen(BaseModel):
-    """What was seen of a choice, by its name: its error (as targets count it), what is wrong inside, and milliseconds; with the
-    standard deviations of their logarithms (``skugga.selector.cost.error_model.log_error``, ``log_interior``).
+    """Observation of a drawn choice.
+
+    ``choice`` is its name, ``error`` the error that targets limit, ``interior`` the interior error, and ``ms`` the time. The noises
+    are standard deviations of their logarithms (``skugga.selector.cost.error_model.log_error``, ``log_interior``).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

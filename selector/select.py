@@ -1,4 +1,4 @@
-"""Policies behind one interface: a descriptor and a request, or a scene and a view, -> ``Plan``."""
+"""Choose a plan by any policy: from a descriptor and a request, or from a scene and a view."""
 
 from __future__ import annotations
 
@@ -31,13 +31,16 @@ def select(
     device: DeviceProfile | None = None,
     seen: Mapping[str, Sequence[Seen]] | None = None,
 ) -> Plan:
-    """The plan of a view by the policy ``rules`` or ``predict``; without a device's calibration ``predict`` falls back to
-    ``rules``, and the plan says so. ``seen`` is what was seen of choices before, by light.
+    """Return the plan of a view by the policy ``rules`` or ``predict``.
 
-    Raises ``InputError`` for what is wrong, ``measure`` among it, and ``UnsupportedError`` for what cannot be served.
+    Without a calibration of the device, ``predict`` falls back to ``rules``, and the plan says so. ``seen`` has earlier
+    observations of choices by light.
+
+    Raises ``InputError`` for wrong input, including the policies ``probe`` and ``measure``, and ``UnsupportedError`` for
+    combinations that no algorithm can serve.
     """
     if policy in ("probe", "measure"):
-        raise InputError("policy", policy, f"rules, predict; {policy} needs the scene itself (skugga select)")
+        raise InputError("policy", policy, f"rules, predict ({policy} needs a scene: use skugga select)")
     if policy == "predict" and device is not None:
         from skugga.selector.predict import predicted_plan
 
@@ -58,8 +61,10 @@ def plan_of_view(
     budget_s: float | None = None,
     seen: Mapping[str, Sequence[Seen]] | None = None,
 ) -> Plan:
-    """The plan of a scene's view by any policy; ``budget_s`` is the time of the policy ``probe``, seconds, and ``seen`` what was
-    seen of choices before, by light, of which ``predict`` makes use. Raises as ``select`` does.
+    """Return the plan of a scene's view by any policy.
+
+    ``budget_s`` is the time limit of the policy ``probe``, seconds. ``seen`` has earlier observations of choices by light, for
+    ``predict``. Raises the errors of ``select``.
     """
     if policy in ("probe", "measure"):
         from skugga.selector.measure.probe import DEFAULT_BUDGET_S, probed_plan

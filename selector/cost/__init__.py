@@ -1,1 +1,1 @@
-"""Expected time and error: this device's rates, calibration, and the model of errors."""
+"""Predict times and errors: calibration of the device, its rates, and the error model."""

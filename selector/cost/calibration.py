@@ -1,4 +1,4 @@
-"""Measuring a device: the real fills on made scenes, and the rates that explain their times."""
+"""Calibrate a device: time the real shadow work on generated scenes, and fit the rates that explain the times."""
 
 from __future__ import annotations
 
@@ -31,19 +31,35 @@ from skugga.terrain.gl.device import device
 from skugga.terrain.scene import Scene
 
 TIMING_ROUNDS = 3
-"""Everything is measured so often, in turns, so that what else the machine does meets all alike. The least time counts: the first
-pays for compiling, too.
+"""Rounds of timing. Each round times every job, so that other load on the machine affects all jobs alike. The least time counts,
+since the first run includes compilation.
 """
 
 LIMIT_S = 90.0
-"""After so many seconds no further turn is begun."""
+"""Seconds after which the third round stops. The first two rounds always complete."""
 
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationJob:
-    """A step to be measured on a stage's geometry, with its work by part, and the least times of these, milliseconds."""
+    """A step to time on the geometry of a calibration view.
+
+    Attributes
+    ----------
+    scene
+        The scene.
+    buffer
+        Geometry of the view.
+    casters
+        Casters that reach the view.
+    step
+        The step.
+    work
+        Counts by part of the work.
+    least_ms
+        Least time by part, milliseconds.
+    """
 
     scene: Scene
     buffer: GeometryBuffer
@@ -54,9 +70,9 @@ class CalibrationJob:
 
 
 def calibrate(on_step: Progress | None = None) -> DeviceProfile:
-    """Measure this process's device; ``on_step(done, total)`` is called as the work goes on, ``done`` rising to ``total``.
+    """Calibrate this process's device and return its profile.
 
-    It takes a minute or so. Raises ``GraphicsError`` where there is no OpenGL.
+    It takes about a minute. ``on_step(done, total)`` reports progress. Raises ``GraphicsError`` without OpenGL.
     """
     start, gl = time.perf_counter(), device()
     jobs = _measured(start, on_step or (lambda done, total: None))
@@ -80,7 +96,7 @@ def _measured(start_s: float, on_step: Progress) -> list[CalibrationJob]:
 
 
 def calibration_jobs(stage: CalibrationView) -> list[CalibrationJob]:
-    """What is measured on a stage."""
+    """Return the jobs of a calibration view."""
     descriptor = describe(stage.scene, stage.view, stage.name, "points")
     picture = picture_buffer(stage.scene, stage.view)
     casters = casters_of(stage.scene, picture.own)
@@ -93,7 +109,7 @@ def calibration_jobs(stage: CalibrationView) -> list[CalibrationJob]:
 
 
 def _steps(descriptor: Descriptor, stage: CalibrationView) -> Iterator[Step]:
-    """What is tried on a stage: the settings of each algorithm that its record names, past the casters that it serves."""
+    """Yield the steps to time on a calibration view: the calibrated settings of each algorithm, for the casters that it serves."""
     for algorithm in ALGORITHMS.values():
         kinds = tuple(kind for kind in stage.kinds if can_serve(algorithm.name, descriptor, stage.light, kind))
         if algorithm.passes and kinds:
@@ -102,7 +118,7 @@ def _steps(descriptor: Descriptor, stage: CalibrationView) -> Iterator[Step]:
 
 
 def _run(job: CalibrationJob) -> None:
-    """Run a job once, and note the times of its parts."""
+    """Run a job once and store the times of its parts."""
     clear_caches("light")
     step, log, start = job.step, PassLog(), time.perf_counter()
     fill_steps([step], job.buffer, job.scene, job.casters, (), log)
@@ -122,8 +138,10 @@ def _plain(part: str) -> str:
 
 
 def fitted_rates(rows: list[tuple[Counts, str, float]]) -> dict[str, dict[str, float]]:
-    """Rates in nanoseconds by part and count, none of them negative, with the least sum of squares of relative errors over ``rows``
-    (counts, their part, milliseconds); the algorithm is that of C. Lawson and R. Hanson, Solving Least Squares Problems, 1974.
+    """Return non-negative rates in nanoseconds by part and count, fitted to ``rows`` of counts, part and milliseconds.
+
+    The fit minimizes the sum of squares of the relative errors. The algorithm is that of C. Lawson and R. Hanson, Solving Least
+    Squares Problems, 1974.
     """
     from scipy.optimize import nnls
 
@@ -139,7 +157,7 @@ def fitted_rates(rows: list[tuple[Counts, str, float]]) -> dict[str, dict[str, f
 
 
 def fit_residuals(rates_ns: Mapping[str, Mapping[str, float]], jobs: list[CalibrationJob]) -> dict[str, Residual]:
-    """How far rates are off the times of whole steps, by algorithm."""
+    """Return the relative errors of the rates for the times of whole steps, by algorithm."""
     errors: dict[str, list[float]] = {}
     for job in jobs:
         real_ms = sum(job.least_ms.values())

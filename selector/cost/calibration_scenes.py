@@ -1,6 +1,6 @@
-"""Scenes made to be measured: grounds, bodies and woods of several sizes, written as levels to a folder of the moment.
+"""Generated scenes for calibration: grounds, meshes and forests of several sizes, written as levels to a temporary folder.
 
-Nothing of the bundled levels is in them, so that what is predicted there is predicted for scenes that were never measured.
+They contain nothing of the bundled levels. So the predictions there are tested on scenes that were never measured.
 """
 
 from __future__ import annotations
@@ -25,9 +25,22 @@ BALL_M = 5.0
 
 @dataclass(frozen=True, eq=False)
 class CalibrationView:
-    """A view of a made scene, the light to be measured there, and the kinds of casters that take part.
+    """A view of a generated scene.
 
-    ``grid`` says how much is tried on it: everything (``full``), less (``some``), or only what needs the scene (``few``).
+    Attributes
+    ----------
+    name
+        Name of the scene.
+    scene
+        The scene.
+    view
+        The view.
+    light
+        Name of the light to time.
+    kinds
+        Kinds of casters that take part.
+    grid
+        Number of settings to time: all (``full``), less (``some``), or only those that need the scene (``few``).
     """
 
     name: str
@@ -39,7 +52,7 @@ class CalibrationView:
 
 
 def calibration_views(folder: Path) -> Iterator[CalibrationView]:
-    """The stages one after the other; their files are written to a folder."""
+    """Yield the calibration views. Their files are written to a folder."""
     for name, level, view, size, light, kinds, grid in calibration_levels(folder):
         path = folder / f"{name}.yaml"
         path.write_text(json.dumps({"version": 1, **level}), encoding="utf-8")  # JSON is YAML
@@ -50,7 +63,10 @@ def calibration_views(folder: Path) -> Iterator[CalibrationView]:
 def calibration_levels(
     folder: Path,
 ) -> Iterator[tuple[str, dict[str, Any], str, tuple[int, int], str, tuple[CasterKind, ...], str]]:
-    """Name, level, view, its width and height, light, casters and grid of each stage; what levels read is written to a folder."""
+    """Yield name, level, view, its width and height, light, casters and grid of each calibration view.
+
+    Files that the levels refer to are written to a folder.
+    """
     few, many = _balls(folder, 1, 5), _balls(folder, 3, 36)
     near, wide = _camera([-30, -46, 34], [0, -4, 0]), _camera([40, -70, 60], [0, 0, 0])
     spot: dict[str, Any] = {"kind": "spot", "position": [20, -30, 60], "target": [0, 0, 0], "cutoff": 40}
@@ -98,7 +114,7 @@ def _level(
     terrain: dict[str, Any], main: dict[str, Any], sun: tuple[float, float] | None = (140.0, 38.0), **more: Any
 ) -> dict[str, Any]:
     placed: Any = "none" if sun is None else {"azimuth": sun[0], "altitude": sun[1]}
-    half_m = 0.35 * (terrain.get("flat") or terrain["generate"])["size"][0]  # off the rim, where ground ends like no other
+    half_m = 0.35 * (terrain.get("flat") or terrain["generate"])["size"][0]  # away from the rim, where the ground ends
     plan = {"kind": "map", "bounds": [-half_m, -half_m, half_m, half_m]}
     return {"terrain": terrain, "views": {"main": main, "map": plan}, "sun": placed, **more}
 
@@ -112,14 +128,14 @@ def _hills(side_m: float, cell_m: float, relief_m: float) -> dict[str, Any]:
 
 
 def _places(count: int, side_m: float) -> list[list[float]]:
-    """Places on a square, spread evenly: the golden ratio's multiples along one axis, even steps along the other."""
+    """Return evenly spread positions in a square: multiples of the golden ratio along one axis, even steps along the other."""
     number = np.arange(count)
     places = np.stack([(number * 0.6180339887498949) % 1.0 - 0.5, (number + 0.5) / count - 0.5], axis=1)
     return np.round(places * side_m, 3).tolist()
 
 
 def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_M) -> dict[str, Any]:
-    """A mesh of a level: balls of 20 x 4^halvings triangles each."""
+    """Return a mesh of a level: balls of 20 x 4^halvings triangles each."""
     import trimesh
 
     path = folder / f"ball_{halvings}_{radius_m:g}.ply"
@@ -128,7 +144,7 @@ def _balls(folder: Path, halvings: int, count: int, radius_m: float = BALL_M) ->
 
 
 def _lattice(folder: Path) -> dict[str, Any]:
-    """A mesh of a level: 8 x 8 x 6 boxes over one another, whose shadow volumes lie in many layers."""
+    """Return a mesh of a level: 8 x 8 x 6 boxes above one another, whose shadow volumes overlap in many layers."""
     import trimesh
 
     steps = (np.arange(count) - (count - 1) / 2.0 for count in (8, 8, 6))
@@ -139,7 +155,7 @@ def _lattice(folder: Path) -> dict[str, Any]:
 
 
 def _wood(folder: Path, name: str, side_m: float, density: float) -> dict[str, Any]:
-    """A forest of a level: a square of trees, so many a hectare."""
+    """Return a forest of a level: a square of trees, ``density`` trees a hectare."""
     half = side_m / 2.0
     ring = [[-half, -half], [half, -half], [half, half], [-half, half], [-half, -half]]
     feature = {"type": "Feature", "properties": {}, "geometry": {"type": "Polygon", "coordinates": [ring]}}

@@ -1,6 +1,6 @@
-"""The time of a plan's steps on a device: counts of what they do times the device's rates.
+"""Predict the time of a plan's steps on a device: counts of the work, times the device's rates.
 
-A frame pays for everything here: nothing is taken to be kept from the frame before.
+A frame pays for all of its work: the model assumes empty caches.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MS_PER_NS = 1e-6
 def work_of(
     descriptor: Descriptor, light: str, kinds: Collection[CasterKind], algorithm: AlgorithmName, settings: AlgorithmSettings | None
 ) -> Work:
-    """What a step does, by part; nothing for the algorithm ``none``."""
+    """Return the counts of a step's work by part. The algorithm ``none`` has none."""
     return ALGORITHMS[algorithm].work(Workload(descriptor, light, kinds), settings)
 
 
@@ -34,9 +34,9 @@ def predicted_ms(
     algorithm: AlgorithmName,
     settings: AlgorithmSettings | None,
 ) -> float:
-    """Expected wall-clock milliseconds of a step's shadow work in a redrawn frame; of a map view those of one block.
+    """Return the expected milliseconds of a step's shadow work in a redrawn frame. In a map view it is that of one block.
 
-    0 for the algorithm ``none``. Raises as ``predicted_parts_ms`` does.
+    It is wall-clock time, and 0 for the algorithm ``none``. Raises the errors of ``predicted_parts_ms``.
     """
     return sum(predicted_parts_ms(profile, descriptor, light, kinds, algorithm, settings).values())
 
@@ -49,8 +49,9 @@ def predicted_parts_ms(
     algorithm: AlgorithmName,
     settings: AlgorithmSettings | None,
 ) -> dict[str, float]:
-    """The same by part of the work (``skugga.shadows.work``). Raises ``UnmeasuredError`` for a part of which the profile has no
-    rates.
+    """Return the expected milliseconds by part of the work (``skugga.shadows.work``).
+
+    Raises ``UnmeasuredError`` if the profile has no rates for a part.
     """
     work = work_of(descriptor, light, kinds, algorithm, settings)
     for part in work:
@@ -60,5 +61,5 @@ def predicted_parts_ms(
 
 
 def counts_to_ms(rates_ns: Mapping[str, float], counts: Counts) -> float:
-    """Milliseconds of counts at rates in nanoseconds; what has no rate costs nothing."""
+    """Return the milliseconds of counts at rates in nanoseconds. Counts without a rate cost nothing."""
     return MS_PER_NS * sum(count * rates_ns.get(name, 0.0) for name, count in counts.items())

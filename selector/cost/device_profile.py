@@ -1,4 +1,4 @@
-"""What a device was measured to take for the parts of shadow work, kept in a file of the user's cache folder."""
+"""Calibration of a device, stored in a file of the user's cache folder."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from skugga.terrain.user_cache import user_cache
 from skugga.terrain.whole_files import write_whole
 
 SCHEMA: Final = 1
-"""Changes with what the rates mean: profiles of another one count as none."""
+"""Changes with the meaning of the rates. Profiles of another schema are not used."""
 
 Rate = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Error = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Residual(BaseModel):
-    """How far the rates were off the times that they were fitted to, as shares of these: of a number of ``rows`` the median, and
-    what nine tenths stay below.
+    """Relative errors of the rates for the times that they were fitted to.
+
+    ``rows`` is the number of times, ``p90`` the 90th percentile.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -34,10 +35,10 @@ class Residual(BaseModel):
 
 
 class DeviceProfile(BaseModel):
-    """The rates of a device, nanoseconds by part of the work and by what is counted there (``skugga.shadows.work``).
+    """The rates of a device, in nanoseconds by part of the work and by count (``skugga.shadows.work``).
 
-    ``renderer`` and ``version`` are OpenGL's own words for the device and its driver, ``engine`` is the version of Skugga that
-    measured, ``took_s`` how long that took, ``residuals`` how well the rates fit, by algorithm.
+    ``renderer`` and ``version`` are OpenGL's strings for the device and its driver. ``engine`` is the version of Skugga that
+    measured the device, ``took_s`` the seconds that this took. ``residuals`` are the relative errors of the rates by algorithm.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -54,14 +55,14 @@ class DeviceProfile(BaseModel):
 
 
 def profile_path(renderer: str, version: str) -> Path:
-    """The file of a device and driver: readable words, and a digest that tells apart what those do not."""
+    """Return the file of a device and driver. Its name has readable words and a digest, which is unique."""
     words = re.sub(r"[^a-z0-9]+", "-", renderer.lower()).strip("-")[:40] or "device"
     digest = hashlib.sha256(f"{renderer}\n{version}".encode()).hexdigest()[:12]
     return user_cache("devices") / f"{words}-{digest}.json"
 
 
 def save_profile(profile: DeviceProfile) -> Path:
-    """Write a profile to its file, whole or not at all. Raises ``OSError`` where the folder cannot be written."""
+    """Write a profile to its file by an atomic write. Raises ``OSError`` if the folder cannot be written."""
     path = profile_path(profile.renderer, profile.version)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, profile.model_dump_json(indent=1))
@@ -69,13 +70,13 @@ def save_profile(profile: DeviceProfile) -> Path:
 
 
 def load_profile(renderer: str, version: str) -> DeviceProfile | None:
-    """The profile of a device; ``None`` where there is none that can be used (``missing_profile_reason`` says why)."""
+    """Return the profile of a device, or ``None`` without a usable one (``missing_profile_reason`` gives the reason)."""
     profile = _read(renderer, version)
     return profile if isinstance(profile, DeviceProfile) else None
 
 
 def missing_profile_reason(renderer: str, version: str) -> str | None:
-    """Why there is no profile of a device, as a sentence; ``None`` where there is one."""
+    """Return why a device has no usable profile, as a sentence; ``None`` if it has one."""
     profile = _read(renderer, version)
     return profile if isinstance(profile, str) else None
 
@@ -94,7 +95,7 @@ def _read(renderer: str, version: str) -> DeviceProfile | str:
         profile = DeviceProfile.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the whole"
+        where = ".".join(map(str, first["loc"])) or "the whole file"
         return f"{path}: {where}: {first['msg'].lower()}: run skugga calibrate again"
     if (profile.renderer, profile.version) != (renderer, version):
         return f"{path} is for another device, {profile.renderer}: run skugga calibrate again"
@@ -102,5 +103,5 @@ def _read(renderer: str, version: str) -> DeviceProfile | str:
 
 
 def digest_of(device: DeviceProfile | None) -> str:
-    """Return what changes with a calibration; empty where there is none."""
+    """Return a digest that changes with the calibration; empty without one."""
     return "" if device is None else hashlib.sha256(device.model_dump_json().encode()).hexdigest()[:16]

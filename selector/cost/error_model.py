@@ -1,20 +1,20 @@
-"""Expected errors of a plan's steps, from the descriptor alone: analytic predictors first, a few fitted constants second.
+"""Predict errors of a plan's steps from the descriptor: analytic predictors, with a few fitted constants.
 
-**Maps.** A nearest look-up asks for the visibility of a texel's centre in place of the point's own. How often the two differ is
-measured in the scene: ``CastBand.differs`` has it for displacements anywhere within a texel, for texels of many sizes, by distance
-from the eye. What a texel covers follows from the settings: its side in light space (a cascade's, or the cone's at the lamp's
-distance, in J. Sindholt's equation 1 the other way round) over a pixel's. Of what differs only a part counts as wrong: pixels that
-a shadow's edge crosses are not decidable, and taps smooth the stairs. That part, ``counted``, grows with the texel from 0 to 1.
-A perspective map's texels follow the picture's pixels, ``perspective`` of them to one along a side where it has as many texels as
-the picture has pixels, and are never larger than a uniform map's would be.
+**Maps.** A nearest look-up returns the visibility at a texel's centre instead of the point's own. ``CastBand.differs`` has the
+measured frequency of a difference in the scene: for displacements within a texel, for texels of many sizes, by distance from the
+eye. The side of a texel follows from the settings. It is the side in light space divided by that of a pixel: a cascade's, or the
+light cone's at the lamp's distance (J. Sindholt's equation 1, solved for the texel). Only a part of the differing pixels counts as
+wrong: pixels on a shadow's edge are not decidable, and filter taps smooth the stairs. That part, ``counted``, grows with the texel
+from 0 to 1. A perspective map's texels follow the picture's pixels: ``perspective`` of them cover a pixel's side if the map has as
+many texels as the picture has pixels. They are never larger than those of a uniform map.
 
-**Planar** shadows are right on the ground and nowhere else: wrong is what lies in cast shadow on bodies. **Everything else** is
-exact but for a floor, which is a high one where a perspective view's ground is swept with fewer triangles than its nodes make.
+**Planar** shadows are right on the ground only: cast shadow on bodies is wrong. **All other algorithms** are exact except for a
+constant floor. The floor is high where a perspective view's ground is swept with fewer triangles than its nodes have.
 
-How far off all this is, is part of it: the logarithm of an error scatters about what is expected with a logistic distribution,
-whose scale is fitted, too, and from which the chance follows that a target is missed.
+The model includes its uncertainty: the logarithm of an error has a logistic distribution around the expected value, with a fitted
+scale. The probability of a missed target follows from it.
 
-The constants are fitted to measured views by `benchmarks/selection`.
+`benchmarks/selection` fits the constants to measured views.
 """
 
 from __future__ import annotations
@@ -45,28 +45,40 @@ UNKNOWN_CASTING = Casting(
         CastBand(near_m=0.0, share=1.0, cast=0.1, pixel_m=1.0, differs=tuple(min(0.005 * px, 0.1) for px in TEXEL_LADDER_PX)),
     ),
 )  # fmt: skip
-"""What is taken of shadows of which a descriptor says nothing: a tenth of what is seen, with an edge a hundred pixels apart."""
+"""Assumed shadows without facts in the descriptor: a tenth of the visible surface, with an edge every hundred pixels."""
 
 POOLED = 3
-"""Sizes of texels that tell of one of them together."""
+"""Number of texel sizes that are averaged for each size."""
 
 LEAST, LEAST_INTERIOR = 1e-3, 1e-5
-"""Errors are compared by their logarithms, from these ones on."""
+"""Offsets of errors and interior errors before the logarithm."""
 
 LEAST_SPREAD = 0.05
-"""No algorithm is surer than this."""
+"""Lower bound of the scale of every algorithm."""
 
 
 def error_groups() -> tuple[str, ...]:
-    """Everything that errors are told by: algorithms, and where it makes a difference kinds of views of one."""
+    """Return the groups with fitted constants: algorithms, and kinds of views of an algorithm where they differ."""
     more = [group for each in ALGORITHMS.values() for group in each.error_groups if group != each.name]
     return (*ALGORITHMS, *more)
 
 
 @dataclass(frozen=True)
 class ExpectedErrors:
-    """Expected shares, as ``skugga.shadows.truth.metrics`` counts them: ``wrong`` of all pixels, ``wrong_cast`` of the cast shadow,
-    and ``interior``; ``spread`` and ``interior_spread`` are the scales by which the logarithms of the latter two scatter.
+    """Expected errors as ``skugga.shadows.truth.metrics`` defines them.
+
+    Attributes
+    ----------
+    wrong
+        Share of all pixels, in [0, 1].
+    wrong_cast
+        Share of the cast shadow, in [0, 1].
+    interior
+        Interior error, in [0, 1].
+    spread
+        Scale of the logarithm of ``wrong_cast``.
+    interior_spread
+        Scale of the logarithm of ``interior``.
     """
 
     wrong: float
@@ -76,26 +88,27 @@ class ExpectedErrors:
     interior_spread: float
 
     def chance_over(self, max_error: float) -> float:
-        """How likely it is that a picture has more than ``max_error`` of its cast shadow wrong, or more than ``MOST_INTERIOR``
-        inside of shadows and lights, in [0, 1].
+        """Return the probability, in [0, 1], that a picture misses a limit.
+
+        The limits are ``max_error`` for the wrong share of the cast shadow, and ``MOST_INTERIOR`` for the interior error.
         """
         error = logistic_chance_over(log_error(self.wrong_cast) - log_error(max_error), self.spread)
         inside = logistic_chance_over(log_interior(self.interior) - log_interior(MOST_INTERIOR), self.interior_spread)
-        return max(error, inside)  # what is wrong inside is wrong besides
+        return max(error, inside)  # interior errors are errors, too
 
 
 def log_error(error: float) -> float:
-    """The logarithm by which errors are compared."""
+    """Return the logarithm of an error, with an offset."""
     return log(error + LEAST)
 
 
 def log_interior(interior: float) -> float:
-    """That by which interior errors are."""
+    """Return the logarithm of an interior error, with an offset."""
     return log(interior + LEAST_INTERIOR)
 
 
 class SharedErrors(BaseModel):
-    """How much of what real figures are off the expected ones is common to the candidates of a view."""
+    """Shares of the models' errors that the candidates of a view have in common."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -105,7 +118,7 @@ class SharedErrors(BaseModel):
 
 
 class HillCurve(BaseModel):
-    """The part of what differs that is wrong: ``most / (1 + (half_px / texel_px) ** steepness)``."""
+    """The wrong part of the differing pixels: ``most / (1 + (half_px / texel_px) ** steepness)``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -118,12 +131,12 @@ class HillCurve(BaseModel):
 
 
 class ErrorModel(BaseModel):
-    """The fitted constants.
+    """The fitted constants of the error model.
 
-    ``counted`` is by kind of casters, ``perspective`` the texels of a perspective map to a pixel's side, ``floor`` what each
-    algorithm gets wrong of the cast shadow however fine it is, ``interior`` which share of what is wrong lies inside, ``spread``
-    and ``interior_spread`` the scales of both about what is expected. ``time_spread`` is that of times about those that a
-    calibration expects, and ``shared`` how much of all three the candidates of a view have in common.
+    ``counted`` is by kind of casters. ``perspective`` is the number of a perspective map's texels a pixel's side. ``floor`` is each
+    algorithm's share of wrong cast shadow at any resolution. ``interior`` is the share of the wrong pixels that are interior
+    errors. ``spread`` and ``interior_spread`` are the scales of both around their expected values. ``time_spread`` is the scale of
+    times around those of a calibration. ``shared`` has the shares that the candidates of a view have in common.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -138,36 +151,36 @@ class ErrorModel(BaseModel):
     shared: SharedErrors
 
     def constants(self, group: str) -> ErrorConstants | None:
-        """Those of an error group; ``None`` where nothing was fitted."""
+        """Return the constants of an error group; ``None`` if none were fitted."""
         tables = (self.floor, self.interior, self.spread, self.interior_spread)
         return None if any(group not in table for table in tables) else ErrorConstants(*(table[group] for table in tables))
 
 
 @cached("process", MIB)
 def packaged_model() -> ErrorModel:
-    """The constants that come with the package."""
+    """Return the error model of the package."""
     return ErrorModel.model_validate_json(files("skugga.selector.cost").joinpath("error_model.json").read_text(encoding="utf-8"))
 
 
 def expected_errors(descriptor: Descriptor, light: str, steps: Sequence[Step], model: ErrorModel | None = None) -> ExpectedErrors:
-    """What the steps of a light are expected to get wrong together."""
+    """Return the expected errors of all steps of a light together."""
     model = model or packaged_model()
     return errors_together(descriptor, light, [(step, wrong_of_step(descriptor, light, step, model)) for step in steps], model)
 
 
 def error_group_of(descriptor: Descriptor, step: Step) -> str:
-    """What a step's errors are told by."""
+    """Return the error group of a step."""
     return ALGORITHMS[step.algorithm].error_group(descriptor)
 
 
 def constants_of(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorConstants | None:
-    """The constants of a step's error group; ``None`` where nothing was fitted, and its algorithm brings none."""
+    """Return the constants of a step's error group; ``None`` if none were fitted and its algorithm has none."""
     group = error_group_of(descriptor, step)
     return model.constants(group) or ALGORITHMS[step.algorithm].accuracy.constants.get(group)
 
 
 def wrong_of_step(descriptor: Descriptor, light: str, step: Step, model: ErrorModel) -> float:
-    """The share of all that is seen that a step is expected to get wrong. Raises as ``errors_together`` does."""
+    """Return the share of all visible points that a step is expected to get wrong. Raises the errors of ``errors_together``."""
     floor = _constants(descriptor, step, model).floor * _cast(descriptor, light)
     return floor + sum(
         _of_kind(descriptor, light, step, *kind_casting, model) for kind_casting in kinds_of_step(descriptor, light, step)
@@ -177,7 +190,7 @@ def wrong_of_step(descriptor: Descriptor, light: str, step: Step, model: ErrorMo
 def errors_together(
     descriptor: Descriptor, light: str, wrong_of: Iterable[tuple[Step, float]], model: ErrorModel
 ) -> ExpectedErrors:
-    """The errors of steps, each with the share that it gets wrong. Raises ``UnmeasuredError`` for one without constants."""
+    """Return the errors of steps, each with its wrong share. Raises ``UnmeasuredError`` for a step without constants."""
     wrong = interior = spread = interior_spread = 0.0
     for step, step_wrong in wrong_of:
         constants = _constants(descriptor, step, model)
@@ -198,19 +211,19 @@ def _constants(descriptor: Descriptor, step: Step, model: ErrorModel) -> ErrorCo
 
 
 def _cast(descriptor: Descriptor, light: str) -> float:
-    """The share of what is seen that is taken to lie in cast shadow."""
+    """Return the share of the visible surface in cast shadow, or an assumption about it."""
     facts = descriptor.lights.get(light)
     return max(UNKNOWN_CASTING.share if facts is None else facts.cast_share, HALF_A_HIT)
 
 
 def kinds_of_step(descriptor: Descriptor, light: str, step: Step) -> list[tuple[CasterKind, Casting]]:
-    """What a step's kinds of casters throw on what is seen; ``UNKNOWN_CASTING`` where the descriptor says nothing of the light."""
+    """Return the shadows of a step's kinds of casters; ``UNKNOWN_CASTING`` if the descriptor has no facts of the light."""
     casts = descriptor.lights[light].casts if light in descriptor.lights else {}
     return [(kind, casts.get(kind, UNKNOWN_CASTING)) for kind in step.kinds if not casts or kind in casts]
 
 
 def _of_kind(descriptor: Descriptor, light: str, step: Step, kind: CasterKind, casting: Casting, model: ErrorModel) -> float:
-    """The share of all that is seen that one kind's shadows are wrong on."""
+    """Return the share of all visible points where one kind's shadows are wrong."""
     accuracy = ALGORITHMS[step.algorithm].accuracy
     if accuracy.wrong_share is not None:
         return accuracy.wrong_share(casting)
@@ -223,8 +236,9 @@ def _of_kind(descriptor: Descriptor, light: str, step: Step, kind: CasterKind, c
 
 
 def texel_px_of(descriptor: Descriptor, light: str, step: Step, band: CastBand, perspective: float) -> float:
-    """A texel's side in a band in pixels, across the light (the geometric mean of both sides); 0 without texels. ``perspective`` is
-    ``ErrorModel.perspective``.
+    """Return a texel's side in a band in pixels, across the light: the geometric mean of both sides. It is 0 without texels.
+
+    ``perspective`` is ``ErrorModel.perspective``.
     """
     texel_px = ALGORITHMS[step.algorithm].accuracy.texel_px
     return 0.0 if texel_px is None else texel_px(descriptor, light, step.settings, band, perspective)
@@ -232,8 +246,10 @@ def texel_px_of(descriptor: Descriptor, light: str, step: Step, band: CastBand, 
 
 @cached("process", MIB)
 def smoothed_ladder(differs: tuple[float, ...]) -> tuple[float, ...]:
-    """``differs`` with less chance in it: what differs grows about as a texel's side does, so each texel's is told by the next
-    ``POOLED`` together, of which the larger ones count most of what was seen.
+    """Return ``differs`` with less noise.
+
+    The differing share grows about in proportion to a texel's side. So each value is estimated from the next ``POOLED`` sizes
+    together; the larger ones have most of the observations.
     """
     sides = [sum(TEXEL_LADDER_PX[k : k + POOLED]) for k in range(len(TEXEL_LADDER_PX))]
     window_sums = [sum(differs[k : k + POOLED]) for k in range(len(TEXEL_LADDER_PX))]
@@ -243,7 +259,7 @@ def smoothed_ladder(differs: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _differs(band: CastBand, texel_px: float) -> float:
-    """``differs`` between the texels of the ladder; below the least in proportion."""
+    """Interpolate ``differs`` between the texel sizes of the ladder. Below the smallest size it is proportional."""
     differs = smoothed_ladder(band.differs)
     if texel_px <= TEXEL_LADDER_PX[0]:
         return differs[0] * texel_px / TEXEL_LADDER_PX[0]

@@ -1,4 +1,4 @@
-"""What is not known of an algorithm yet, so that nothing can be predicted of it."""
+"""Error and messages for algorithms without measured errors or rates, which cannot be predicted."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ NO_RATES = "this device has no rates for {part}: run skugga calibrate again"
 
 
 class UnmeasuredError(Exception):
-    """Of an algorithm, why nothing can be predicted. It ends at the policy that predicts, which falls back and says so."""
+    """An algorithm cannot be predicted. The policy that predicts catches this, falls back, and reports the reason."""
 
     def __init__(self, algorithm: AlgorithmName, why: str) -> None:
         super().__init__(f"{algorithm}: {why}")

@@ -1,7 +1,7 @@
-"""The device that is assumed where the real one is not calibrated: rates that were measured once, held to be right within a factor.
+"""A typical device for use without a calibration: rates of one measured device, assumed right within a factor.
 
-Only what is measured afterwards goes by them (``skugga.selector.measure``): how the times of two candidates compare is much the
-same on many devices, how long they take is not.
+Only the policies that measure afterwards use it (``skugga.selector.measure``). The ratio of two candidates' times is similar on
+many devices, but their absolute times are not.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from skugga.selector.cost.error_model import ErrorModel, packaged_model
 from skugga.terrain.cache import MIB, cached
 
 UNKNOWN_TIME_SPREAD = 0.7
-"""The scale of the logistic distribution of times about those of the usual device: half of them are off by a factor of two."""
+"""Scale of the logistic distribution of times around those of the typical device: half of them are off by a factor of two."""
 
 UNKNOWN_SHARED = SharedVariance(view=0.85, family=0.08)
-"""Most of that is one factor of the device's."""
+"""Most of this uncertainty is one factor of the device."""
 
 
 @cached("process", MIB)
 def usual_device() -> DeviceProfile:
-    """The device that measured the benchmark of the selector."""
+    """Return the profile of the device that measured the selector's benchmark."""
     return DeviceProfile.model_validate_json(
         files("skugga.selector.cost").joinpath("usual_device.json").read_text(encoding="utf-8")
     )
 
 
 def uncalibrated_model(errors: ErrorModel | None = None) -> ErrorModel:
-    """The error model with times about which little is known."""
+    """Return the error model with uncertain times."""
     model = errors or packaged_model()
     shared = model.shared.model_copy(update={"time": UNKNOWN_SHARED})
     return model.model_copy(update={"time_spread": UNKNOWN_TIME_SPREAD, "shared": shared})

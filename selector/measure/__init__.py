@@ -1,1 +1,1 @@
-"""Measured against truth: probes of candidates, the policies `probe` and `measure`, and the comparison of algorithms."""
+"""Draw candidates and compare them with ground truth: the policies `probe` and `measure`, and the accuracy report."""

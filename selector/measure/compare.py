@@ -1,4 +1,4 @@
-"""Accuracy against time: every capable algorithm over a grid of settings, on one geometry, held against truth."""
+"""Compare error and time of all capable algorithms with several settings, on one geometry, against ground truth."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from skugga.terrain.scene import Scene
 COUNTERS = ("triangles", "draws", "map_texels", "edges", "marked", "tiles")
 
 ROW_REPEATS = 5
-"""A row is timed so often, if time allows."""
+"""Timed repeats of a row, if the time limit allows."""
 
 TIME_LIMIT_S, ROWS_SHARE = 70.0, 0.85
-"""Time from which on a comparison begins nothing more, and the share of it from which on no more rows."""
+"""Time limit of a comparison, and the share of it after which no further rows begin."""
 
 FINE_SAMPLES = 16
 
@@ -43,10 +43,18 @@ NO_CAST = "no cast shadow in the view: only false shadow can be measured"
 
 @dataclass(frozen=True, eq=False)
 class ComparisonRow:
-    """One candidate: its figures as ``compare --json`` prints them, and what it drew.
+    """One candidate of a comparison.
 
-    ``visibility`` is (rows, cols) uint8, 0 dark to 255 lit, 255 off the surface; ``false_shadow`` and ``missed_shadow`` are bool
-    (rows, cols).
+    Attributes
+    ----------
+    figures
+        Figures as ``compare --json`` prints them.
+    visibility
+        Visibility, uint8 (rows, cols): 0 dark to 255 lit, and 255 off the surface.
+    false_shadow
+        Pixels with false shadow, bool (rows, cols).
+    missed_shadow
+        Pixels with missed shadow, bool (rows, cols).
     """
 
     figures: dict[str, Any]
@@ -57,13 +65,34 @@ class ComparisonRow:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """All rows of a view, and what holds for all of them.
+    """The comparison of a view's candidates.
 
-    ``there`` (rows, cols) is where there is a surface, ``error`` the figure that counts, ``cast`` the share of the surface in true
-    cast shadow, ``surface`` the share of pixels that the drawn grid's simplification changes, ``noise_floor`` the ``error`` of
-    truth's own sub-samples, ``remarks`` what a reader must know (no surface, night, nothing casts), ``left_out`` the names of the
-    candidates for which there was no time, ``default`` the name of the row that is taken where nothing more is asked (empty: not
-    among them).
+    Attributes
+    ----------
+    view
+        The view.
+    light
+        Name of the light.
+    rows
+        One row for each candidate.
+    there
+        Valid mask of the surface, bool (rows, cols).
+    error
+        The error that targets limit in this view.
+    boundary
+        Share of the surface that truth cannot decide, in [0, 1].
+    cast
+        Share of the surface in true cast shadow, in [0, 1].
+    surface
+        Share of the pixels that the simplification of the drawn grid changes, in [0, 1].
+    noise_floor
+        Error of truth with other sub-samples.
+    remarks
+        Remarks for the reader: no surface, night, no casters.
+    left_out
+        Names of the candidates that the time limit left out.
+    default
+        Name of the default plan's row; empty if it is not among the rows.
     """
 
     view: View
@@ -81,15 +110,25 @@ class Comparison:
 
 
 Times = tuple[float, dict[str, float]]
-"""Milliseconds of a run, in all and by stage."""
+"""Milliseconds of a run: the total, and by stage."""
 
 DrawnBlock = tuple[MultisampledBuffer, Casters]
-"""What is drawn of a view's block, and what casts shadows there."""
+"""The geometry of a view's block, and the casters that reach it."""
 
 
 @dataclass(frozen=True, eq=False)
 class TimedRun:
-    """One execution of a plan's steps: its times, the blocks' visibilities (rows, cols), the log of its passes."""
+    """One execution of a plan's steps.
+
+    Attributes
+    ----------
+    times
+        Times of the run, milliseconds.
+    parts
+        Visibilities of the blocks, (rows, cols).
+    log
+        Log of the passes.
+    """
 
     times: Times
     parts: list[np.ndarray]
@@ -98,7 +137,19 @@ class TimedRun:
 
 @dataclass(frozen=True, eq=False)
 class TimedPlan:
-    """A plan while it is measured: the row that is made of it, and the times of the first run and of later ones."""
+    """A plan with its measurements so far.
+
+    Attributes
+    ----------
+    plan
+        The plan.
+    row
+        Its row of the comparison.
+    first
+        Times of the first run.
+    later
+        Times of the other runs.
+    """
 
     plan: Plan
     row: ComparisonRow
@@ -117,14 +168,37 @@ def compare(
     plans: Sequence[Plan] | None = None,
     only: Collection[str] = (),
 ) -> Comparison:
-    """Measure every candidate (``plans``, or those of ``candidates``, of these the ``only`` ones that are named, if any are) on one
-    geometry; ``on_step(done, total)`` is called as the work goes on.
+    """Measure all candidates of a view on one geometry.
 
-    ``light`` is the light that is looked at: the first one (the sun, where there is one) if it is ``None``. Every candidate is
-    drawn once for its errors; then all are timed in turns, so that what else a machine does meets them alike, the quickest first.
-    What would end after ``time_limit_s`` seconds is left out, never an algorithm, none of ``plans``, and nothing that is named:
-    repeats, and after the greater part of the time variants and mixes of algorithms that were drawn already. Raises ``InputError``
-    for a name that is no candidate's.
+    Each candidate is drawn once for its errors. Then all candidates are timed in turns, fastest first, so that other load on the
+    machine affects them alike. Work that would end after the time limit is left out: repeats, and, after the greater part of the
+    time, variants of algorithms that are drawn already. Each algorithm, ``plans`` and named candidates are always drawn.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    view
+        The view.
+    name
+        Name of the view.
+    fine
+        Whether truth takes 16 sub-samples of a pixel instead of 4.
+    on_step
+        Called as ``on_step(done, total)`` during the work.
+    light
+        Name of the light. ``None`` takes the sun, or the first light of a level without a sun.
+    time_limit_s
+        Time limit, seconds.
+    plans
+        Plans to measure instead of ``candidates``.
+    only
+        Names of candidates; empty takes all.
+
+    Raises
+    ------
+    InputError
+        A name or a light is unknown.
     """
     start = time.perf_counter()
     light = _light(scene, light)
@@ -175,7 +249,10 @@ def compare(
 def measure_plan(
     scene: Scene, view: View, plan: Plan, light: str | None = None, fine: bool = False, repeats: int = 0
 ) -> ComparisonRow:
-    """Measure one plan; ``light`` as in ``compare``. It is timed ``repeats`` times after its first run, or by that alone."""
+    """Measure one plan, with ``light`` and ``fine`` as in ``compare``.
+
+    Its time is that of ``repeats`` runs after the first one, or of the first one alone.
+    """
     scene, light = with_apparent_sun(scene, plan.runs), _light(scene, light)
     view_truth = truth_of_view(scene, view, light, FINE_SAMPLES if fine else TRUTH_SAMPLES, plan.runs)
     pictures = drawn_on(scene, view)
@@ -185,7 +262,7 @@ def measure_plan(
 
 
 def false_colours(base: np.ndarray, row: ComparisonRow) -> np.ndarray:
-    """An error picture (rows, cols, 3) uint8 over a gray one (rows, cols): false shadow red, missed shadow blue."""
+    """Return an error picture, uint8 (rows, cols, 3), over a gray one (rows, cols). False shadow is red, missed shadow blue."""
     out = np.repeat((120 + base.astype(float) * 0.5)[..., None], 3, axis=2)
     out[row.false_shadow] = (214, 30, 30)
     out[row.missed_shadow] = (30, 70, 214)
@@ -194,12 +271,12 @@ def false_colours(base: np.ndarray, row: ComparisonRow) -> np.ndarray:
 
 def _light(scene: Scene, light: str | None) -> str:
     if light is not None and light not in scene.light_names:
-        raise InputError("light", light, ", ".join(scene.light_names) or "nothing: the level has no lights")
+        raise InputError("light", light, ", ".join(scene.light_names) or "none (the level has no lights)")
     return light or (*scene.light_names, SUN)[0]
 
 
 def _named(plans: list[Plan], light: str, names: Collection[str]) -> list[Plan]:
-    """Those of some names, or all of them if there are no names."""
+    """Return the plans with some names, or all of them without names."""
     by_name = {name_of(plan, light): plan for plan in plans}
     for name in names:
         if name not in by_name:
@@ -208,7 +285,7 @@ def _named(plans: list[Plan], light: str, names: Collection[str]) -> list[Plan]:
 
 
 def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
-    """The error of truth's own sub-samples of another seed (their majority, their share) against truth."""
+    """Return the error of truth with sub-samples of another seed (their majority or their share) against truth."""
     light = view_truth.grounds[0].light
     if (light == SUN and not scene.sun_is_up) or not view_truth.whole.there.any():
         return 0.0
@@ -226,7 +303,7 @@ def _noise_floor(scene: Scene, view_truth: ViewTruth) -> float:
 
 
 def _trial(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBlock], plan: Plan, pixel_m: float) -> TimedPlan:
-    """A plan's first run, and its figures but for the times."""
+    """Return a plan's first run with its errors, but without its final times."""
     light, truth = view_truth.grounds[0].light, view_truth.whole
     run = run_light(scene, pictures, plan, light)
     for ground, part in zip(view_truth.grounds, run.parts, strict=True):
@@ -252,17 +329,21 @@ def _trial(scene: Scene, view_truth: ViewTruth, pictures: Sequence[DrawnBlock], 
 
 
 def drawn_on(scene: Scene, view: View) -> list[DrawnBlock]:
-    """What is drawn of a view block by block, or band by band, as ``render_frame`` does: with samples where something ends."""
+    """Return the geometry and the casters of a view, with samples at edges.
+
+    The view is cut into blocks or bands as in ``render_frame``.
+    """
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     pictures = [picture_buffer(scene, part) for part, _, _ in parts]
     return [(picture, casters_of(scene, picture.own)) for picture in pictures]
 
 
 def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: str) -> TimedRun:
-    """Execute a plan's steps of a light on what is drawn of a view, nothing kept from before. Samples take time as in any picture;
-    the visibilities are those of the picture's own pixels.
+    """Execute a plan's steps of a light on the blocks of a view, with empty caches.
+
+    Samples at edges take time as in any picture. The visibilities are those of the picture's own pixels.
     """
-    clear_caches("light")  # every cost that a moving sun has is to be paid
+    clear_caches("light")  # the time includes all work of a moving sun
     steps = plan.steps_under(light)
     log, start = PassLog(), time.perf_counter()
     parts = []
@@ -277,7 +358,10 @@ def run_light(scene: Scene, pictures: Sequence[DrawnBlock], plan: Plan, light: s
 
 
 def _timed(trial: TimedPlan) -> ComparisonRow:
-    """The row with its times: of the first run only where there is no other, for that pays for compiling and allocating too."""
+    """Return the row with its times.
+
+    The first run counts only without later runs, because it includes compilation and allocation.
+    """
     runs = sorted(trial.later or [trial.first], key=lambda run: run[0])
     times_ms = [ms for ms, _ in runs]
     trial.row.figures.update({
@@ -293,8 +377,9 @@ def _timed(trial: TimedPlan) -> ComparisonRow:
 
 
 def _mark_pareto(rows: list[ComparisonRow], error: str) -> None:
-    """A row is on a front if no other is at least as good in both time and error and better in one: ``pareto`` by the error that
-    counts, ``pareto_soft`` by ``soft_error``.
+    """Mark the rows on the Pareto fronts of time and error: no other row is as good in both and better in one.
+
+    ``pareto`` uses the error that targets limit, ``pareto_soft`` uses ``soft_error``.
     """
     for front, by in (("pareto", error), ("pareto_soft", "soft_error")):
         keys = [(row.figures["ms_median"], row.figures[by]) for row in rows]

@@ -1,4 +1,4 @@
-"""How large a shadow map's texels are where they are looked up: what errors are held against."""
+"""Size of a shadow map's texels at the points of look-up. Errors are compared with it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from skugga.terrain.scene import Scene
 
 
 def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, pixel_m: float) -> np.ndarray:
-    """A texel's larger side on level ground in pixels (rows, cols); 0 for an algorithm without texels, and off the surface."""
+    """Return a texel's larger side on level ground in pixels (rows, cols).
+
+    It is 0 for algorithms without texels, and off the surface.
+    """
     texel_of = None if step is None else ALGORITHMS[step.algorithm].accuracy.texel_m
     if step is None or texel_of is None:
         return np.zeros(buffer.there.shape)
@@ -24,7 +27,7 @@ def texel_footprint_px(scene: Scene, step: Step | None, buffer: GeometryBuffer, 
 
 @cached("scene", 512 * MIB)
 def _pixel_at_points_m(buffer: GeometryBuffer) -> np.ndarray:
-    """The side of a perspective view's pixel at the depths of its points (rows, cols), metres."""
+    """Return the side of a perspective view's pixel at the depths of its points (rows, cols), metres."""
     view = buffer.view
     assert isinstance(view, PerspectiveView)
     eye, camera_from_frame = view.in_frame(buffer.frame)

@@ -1,9 +1,8 @@
-"""Truth at points of a picture alone, and shadows held against it there: what a probe can pay for.
+"""Ground truth at sample points of a picture, and comparison of shadows with it. A probe cannot afford truth in all pixels.
 
-Points are pixels of the picture, just as they are in it: as wide, with sub-samples where the picture's have them. They lie on
-lattices of every n-th pixel along rows and columns, each between those before it, so that every step of a probe adds points, and
-the same ones every time. Whether the next edge of a shadow is near takes the pixels round a point that is wrong, but only one ray
-from each.
+Points are pixels of the picture, with the same width and the same sub-samples. They form lattices of every n-th row and column,
+each between the lattices before it. So every step of a probe adds points, and the same ones each time. To find whether a shadow
+edge is near a wrong point, the pixels around it are needed, but with one ray each.
 """
 
 from __future__ import annotations
@@ -32,13 +31,25 @@ from skugga.terrain.level.level import SUN
 from skugga.terrain.scene import Scene
 
 LATTICE_POINTS = 10_000
-"""Points of a lattice, at least, and less than four times as many."""
+"""Points of a lattice, at least; there are less than four times as many."""
 
 
 @dataclass(frozen=True)
 class PointCounts:
-    """Of points: how many are ``decided``, how many of these are wrong, lie in cast shadow (of truth or of the picture), are wrong
-    there, and are wrong inside of shadows or lights.
+    """Counts of points.
+
+    Attributes
+    ----------
+    decided
+        Points that truth decides.
+    wrong
+        Decided points with the wrong class.
+    cast
+        Decided points in cast shadow, of truth or of the picture.
+    wrong_cast
+        Wrong points of these.
+    inside
+        Wrong points inside shadows or lit areas, far from edges.
     """
 
     decided: int = 0
@@ -56,8 +67,10 @@ class PointCounts:
 
 
 def share_interval(part: int, total: int, z: float = SURE_Z) -> tuple[float, float]:
-    """Between which limits a share lies of which ``part`` of ``total`` were seen, by E. B. Wilson's score (Probable inference, the
-    law of succession, and statistical inference, 1927); 0 and 1 of nothing.
+    """Return the Wilson score interval of a share, for ``part`` of ``total`` observations.
+
+    The source is E. B. Wilson, Probable inference, the law of succession, and statistical inference, 1927. The interval is 0 to 1
+    without observations.
     """
     if total == 0:
         return 0.0, 1.0
@@ -68,7 +81,10 @@ def share_interval(part: int, total: int, z: float = SURE_Z) -> tuple[float, flo
 
 
 def lattice_offsets(every: int) -> list[tuple[int, int]]:
-    """First rows and columns of the lattices of every n-th pixel (n a power of two), each as far as may be from those before."""
+    """Return first rows and columns of the lattices of every n-th pixel, n a power of two.
+
+    Each lattice is as far as possible from the earlier ones.
+    """
     offsets, half = [(0, 0)], every // 2
     while half >= 1:
         offsets += [(row + dr, col + dc) for dr, dc in ((half, half), (0, half), (half, 0)) for row, col in list(offsets)]
@@ -78,7 +94,19 @@ def lattice_offsets(every: int) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Truth in every ``every``-th pixel of a picture, from the ``first`` (row, column) on; ``buffer`` has the points."""
+    """Truth at the points of one lattice of a picture.
+
+    Attributes
+    ----------
+    buffer
+        Geometry of the points.
+    first
+        Row and column of the first point.
+    every
+        Distance of neighbouring points, pixels.
+    truth
+        Truth at the points.
+    """
 
     buffer: GeometryBuffer
     first: tuple[int, int]
@@ -86,13 +114,14 @@ class Lattice:
     truth: Truth
 
     def of_picture(self, values: np.ndarray) -> np.ndarray:
-        """A picture's values (rows, cols) at the points."""
+        """Return a picture's values (rows, cols) at the points."""
         return values[self.first[0] :: self.every, self.first[1] :: self.every]
 
 
 class PictureTruth:
-    """The truth of a picture under a light, lattice by lattice. ``effects`` are those that run: points at which nobody looks for
-    the light count as no surface.
+    """Ground truth of a picture under a light, lattice by lattice.
+
+    ``effects`` are the running effects. Points so far away that haze hides their shadows count as off the surface.
     """
 
     def __init__(
@@ -109,15 +138,15 @@ class PictureTruth:
 
     @property
     def lattices(self) -> int:
-        """How many there are."""
+        """The number of lattices."""
         return self.every**2
 
     def prepare(self) -> None:
-        """Make what all lattices share, which would else be part of what the first one takes."""
+        """Build the data that all lattices share, so that the time of the first lattice excludes it."""
         _ = self.rays, self.nodes
 
     def lattice(self, number: int) -> Lattice:
-        """One of them."""
+        """Return one lattice."""
         first = lattice_offsets(self.every)[number]
         full = subsampled_points(self.picture, self.every, first)
         truth = truth_of(full, self.scene, self.casters, TRUTH_SAMPLES, self.light, rays=self.rays, nodes=self.nodes)
@@ -128,17 +157,19 @@ class PictureTruth:
 
     @cached_property
     def rays(self) -> RayScene:
-        """What rays can meet. In a map the sun's are too few for a copy of its ground to be worth while."""
+        """The ray scene. A map under the sun needs too few rays to justify a copy of its ground."""
         walked = isinstance(self.picture.view, MapView) and self.light == SUN
         return ray_scene(self.picture, self.scene, self.casters, ALL_KINDS, walked)
 
     @cached_property
     def nodes(self) -> MapNodes | None:
-        """What the sub-samples of all lattices share."""
+        """The data that the sub-samples of all lattices share."""
         return sample_nodes(self.picture, self.scene, TRUTH_SAMPLES)
 
     def counts(self, lattice: Lattice, dark: np.ndarray, steps: Sequence[Step], pixel_m: float) -> PointCounts:
-        """A picture's class (rows, cols), True in shadow, attached shadow among it, that a plan's steps drew, held against truth.
+        """Compare a picture with truth at the points of a lattice.
+
+        ``dark`` (rows, cols) is True in shadow, including attached shadow. ``steps`` are the plan's steps that drew it, and
         ``pixel_m`` is a pixel's side.
         """
         truth = lattice.truth
@@ -151,7 +182,7 @@ class PictureTruth:
         return PointCounts(decided, its_wrong, its_cast, wrong_cast, self._inside(lattice, wrong, steps, pixel_m))
 
     def _inside(self, lattice: Lattice, wrong: np.ndarray, steps: Sequence[Step], pixel_m: float) -> int:
-        """How many of the wrong points (rows, cols) lie inside of truth's shadows or lights."""
+        """Return the number of wrong points (rows, cols) inside truth's shadows or lit areas."""
         if not wrong.any():
             return 0
         drawing: Sequence[Step | None] = steps or [None]
@@ -162,7 +193,7 @@ class PictureTruth:
         return int(np.count_nonzero(far_from_edges(self._dark, self.picture.there, row, col, distance_px)))
 
     def _ask(self, pixels: np.ndarray) -> None:
-        """Have truth's class, by one ray, of some pixels (rows, cols)."""
+        """Trace one ray for each of some pixels (rows, cols), and store truth's class."""
         new = pixels & self.picture.there & ~self._asked
         if new.any():
             self._dark |= new & ~lit_from(self.picture, self.scene, self.light, self.rays, wanted=new)

@@ -1,4 +1,4 @@
-"""The plan of a view by the policies ``probe`` and ``measure``: what was drawn, what it showed, and what it changed."""
+"""Plan a view by the policies ``probe`` and ``measure``, with the drawn candidates and their results as reasons."""
 
 from __future__ import annotations
 
@@ -23,14 +23,22 @@ from skugga.terrain.describe import describe
 from skugga.terrain.scene import Scene
 
 DEFAULT_BUDGET_S = 3.0
-"""The time of a probe, if nothing else is asked."""
+"""Default time limit of a probe."""
 
-UNCALIBRATED_PROBE = "this device is not calibrated, so times are those of a usual one, corrected by what was drawn"
+UNCALIBRATED_PROBE = "this device is not calibrated, so times are those of a typical one, corrected by the candidates drawn"
 
 
 @dataclass(frozen=True, eq=False)
 class ProbedView:
-    """A plan, and by light what was seen of choices on the way to it."""
+    """A plan, and the observations of choices that led to it.
+
+    Attributes
+    ----------
+    plan
+        The plan.
+    seen
+        Observations by light.
+    """
 
     plan: Plan
     seen: Mapping[str, tuple[Seen, ...]]
@@ -48,13 +56,39 @@ def probed_plan(
     errors: ErrorModel | None = None,
     on_step: Callable[[int], None] = lambda drawn: None,
 ) -> ProbedView:
-    """The plan of a scene's view whose algorithms and settings were proven on the view itself, within ``budget_s`` seconds
-    (``None``: without a limit, the policy ``measure``); ``on_step(drawn)`` is called after each candidate. What the level or the
-    request asks for is kept: only the rest is chosen. Without a device's calibration times are those of a usual one, until some
-    were measured.
+    """Return the plan of a scene's view, with choices that were tested on the view itself.
 
-    Where no candidate meets the target the nearest is taken, and the plan says by how much it misses. Raises ``InputError`` and
-    ``UnsupportedError`` as ``skugga.selector.planner.planner.make_plan`` does.
+    The plan keeps all settings of the level and the request; only the rest is chosen. Without a calibration, times are estimates
+    for a typical device until some are measured. If no candidate meets the target, the nearest one is chosen, and the plan states
+    its overshoot.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    view
+        The view.
+    name
+        Name of the view.
+    overrides
+        Fields of ``Shadows`` that the request sets.
+    device
+        Calibration of the device.
+    budget_s
+        Time limit, seconds. ``None`` means no limit, the policy ``measure``.
+    plan_request
+        Request instead of the scene's level.
+    errors
+        Error model instead of the packaged one.
+    on_step
+        Called as ``on_step(drawn)`` after each candidate.
+
+    Raises
+    ------
+    InputError
+        An override is wrong.
+    UnsupportedError
+        An override cannot be served.
     """
     plan_request = plan_request or scene.loaded.level
     descriptor = describe(scene, view, name, "points")
@@ -79,38 +113,38 @@ def probed_plan(
 
 
 def _reasons(options: PlanOptions, light: str, probe: LightProbe) -> list[Reasoned]:
-    """What was drawn for a light, what it showed, and what it changed."""
+    """Return the drawn candidates of a light, their results and the change that they made."""
     its, reasons = probe.options, []
     expected = {each.choice.name: each for each in its.options}
     for which, (ms, proof) in probe.drawn.items():
         name = its.options[which].choice.name
-        before = f"{format_percent(expected[name].errors.wrong_cast)} in {format_duration(expected[name].ms)} expected"
+        before = f"expected: {format_percent(expected[name].errors.wrong_cast)} in {format_duration(expected[name].ms)}"
         reasons.append(Reasoned(name=f"{light}: probed {name}", reason=f"{_shown(proof)} in {format_duration(ms)} ({before})"))
     return [*reasons, Reasoned(name=f"{light}: probe", reason=_verdict(options, light, probe))]
 
 
 def _shown(proof: Proof) -> str:
-    """What truth said of a picture."""
+    """Return a picture's errors in words."""
     text = f"{format_percent(proof.error)} wrong"
     if proof.high > proof.low:
-        text += f" ({format_percent(proof.low)} to {format_percent(proof.high)}, with 95 % confidence)"
-    return f"{text} of {proof.points} points in cast shadow, {format_percent(proof.interior)} wrong inside"
+        text += f" ({format_percent(proof.low)} to {format_percent(proof.high)} with 95 % confidence)"
+    return f"{text} of {proof.points} points in cast shadow, {format_percent(proof.interior)} of all points wrong far from edges"
 
 
 def _verdict(options: PlanOptions, light: str, probe: LightProbe) -> str:
-    """What came of it."""
+    """Return the result of a probe in words."""
     its, max_error = probe.options, options.max_error
     drawn = len(probe.drawn)
     text = f"{drawn} of {len(its.options)} candidates drawn and compared with truth in {format_duration(1000.0 * probe.seconds)}: "
     if not its.numbers:
-        return text + "none can draw this view"
+        return text + "no candidate can draw this view"
     leader = leader_of(its, max_error, options.shares_ms()[light])
     before, now = (its.options[which].choice.name for which in (probe.leader_before, leader))
-    text += f"{now} as without it" if before == now else f"{now} in place of {before}"
+    text += f"the choice remains {now}" if before == now else f"the choice is {now} instead of {before}"
     chance = its.miss_chance(leader, max_error)
     limit = format_percent(max_error)
     if leader not in probe.drawn:
-        return f"{text}; there was no time to draw it: it keeps to {limit} with a chance of {format_percent(1.0 - chance)}"
+        return f"{text}; no time was left to draw it: it stays within {limit} with a chance of {format_percent(1.0 - chance)}"
     if probe.confirmed:
-        return f"{text}; {'it keeps to' if chance <= 0.5 else 'it misses'} {limit}, and nothing else promises more"
-    return f"{text}; the time ended before nothing promised more"
+        return f"{text}; {'it stays within' if chance <= 0.5 else 'it misses'} {limit}, and no other candidate promises more"
+    return f"{text}; the time ended while other candidates still promised more"

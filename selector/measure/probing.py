@@ -1,11 +1,12 @@
-"""The policies ``probe`` and ``measure``: the leading candidates drawn on the scene and held against truth at points, until one is
-confirmed.
+"""The policies ``probe`` and ``measure``: draw leading candidates on the scene and compare them with truth until one is confirmed.
 
-Models know a scene from afar, and much of what they are off by is common to all that could be drawn of it. So one look at the
-scene corrects what is expected of every candidate (``skugga.selector.options``). Who leads is drawn; truth is asked for at more and
-more points until it is plain whether it keeps to the target; whoever leads then is drawn, and so on. When the leader is confirmed,
-others are tried as long as they promise to be better by more than ``LEAST_SAVING``. A probe ends when nothing does, or when its
-time is spent: more time, better choices. ``measure`` is a probe without a limit of time.
+Models know a scene only roughly, and most of their error is common to all candidates of a scene. So one observation corrects the
+expectations of every candidate (``skugga.selector.options``).
+
+- The leader, the candidate with the least expected loss, is drawn first. Truth is computed at more and more points until it decides
+  whether the leader meets the target. Then the new leader is drawn, and so on.
+- After the leader is confirmed, other candidates are drawn as long as their expected gain exceeds ``LEAST_SAVING``.
+- A probe ends without such a candidate, or when its time is spent. ``measure`` is a probe without a time limit.
 """
 
 from __future__ import annotations
@@ -24,28 +25,46 @@ from skugga.selector.seen import Seen
 from skugga.shadows.truth.metrics import MOST_INTERIOR
 
 LEAST_SAVING = 0.03
-"""Share of the leader's time (of its error, where it misses the target) by which a candidate must promise to be better before it is
-drawn ..."""
+"""Expected gain, at least, of a candidate that is drawn: a share of the leader's time, or of its error if it misses the target."""
 
 LEAST_SAVING_UNLIMITED = 0.002
-"""... and where there is no limit of time."""
+"""The same without a time limit."""
 
 TIME_NOISE = 0.12
-"""The standard deviation of the logarithm of a time that was measured in a probe: of 77 views of ``benchmarks/selection`` the times
-of probes and those of rows, of another hour, differ by 0.09 within a view and by 0.14 in all.
+"""Standard deviation of the logarithm of a time that a probe measures.
+
+In 77 views of ``benchmarks/selection`` the times of probes differ from those of rows measured in another hour by 0.09 within a view
+and by 0.14 overall.
 """
 
 SURE_Z = 1.96
-"""Standard errors between a share and the limits of its interval."""
+"""Standard errors between a share and the limits of its 95 % interval."""
 
 PLAIN_Z, LEAST_NOISE = 2.58, 1e-9
-"""A verdict is plain from so many standard errors on (99 in 100 cases)."""
+"""Standard errors between an error and its limit, at least, of a decided verdict (99 in 100 cases), and the least standard error.
+"""
 
 
 @dataclass(frozen=True)
 class Proof:
-    """What truth at points says of a picture: its error as targets count it, and what is wrong inside, each with the limits between
-    which it lies in 95 of 100 cases; on how many points in cast shadow that was seen.
+    """Errors of a picture according to truth at points, with 95 % intervals.
+
+    Attributes
+    ----------
+    error
+        The error that targets limit, in [0, 1].
+    low
+        Lower limit of its interval.
+    high
+        Upper limit of its interval.
+    interior
+        Interior error, in [0, 1].
+    interior_low
+        Lower limit of its interval.
+    interior_high
+        Upper limit of its interval.
+    points
+        Number of points in cast shadow, or of blocks if coverage counts.
     """
 
     error: float
@@ -57,7 +76,7 @@ class Proof:
     points: int
 
     def decides(self, max_error: float) -> bool:
-        """Whether it is plain that a picture keeps to an error and to ``MOST_INTERIOR``, or that it does not."""
+        """Return whether it is decided that a picture stays within ``max_error`` and ``MOST_INTERIOR``, or that it does not."""
         over = (log_error(self.error) - log_error(max_error)) / max(self._error_noise, LEAST_NOISE)
         inside_over = (log_interior(self.interior) - log_interior(MOST_INTERIOR)) / max(self._interior_noise, LEAST_NOISE)
         return max(over, inside_over) < -PLAIN_Z or over > PLAIN_Z or inside_over > PLAIN_Z
@@ -71,7 +90,7 @@ class Proof:
         return (log_interior(self.interior_high) - log_interior(self.interior_low)) / (2.0 * SURE_Z)
 
     def seen(self, choice: str, ms: float) -> Seen:
-        """The same of a choice, with the milliseconds that it took."""
+        """Return this as an observation of a choice that took ``ms`` milliseconds."""
         return Seen(
             choice=choice, error=self.error, error_noise=self._error_noise, interior=self.interior,
             interior_noise=self._interior_noise, ms=ms, ms_noise=TIME_NOISE,
@@ -79,31 +98,43 @@ class Proof:
 
 
 class Prover(Protocol):
-    """Draws a light's options, by number, and holds them against truth at points."""
+    """Draws a light's options, by number, and compares them with truth at points."""
 
     def elapsed_s(self) -> float:
-        """Seconds since it began."""
+        """Return the seconds since the start."""
 
     def draw(self, which: int) -> float | None:
-        """Draw an option; its milliseconds. ``None`` where its algorithm refuses the view after all."""
+        """Draw an option and return its milliseconds; ``None`` if its algorithm refuses the view."""
 
     def draw_s(self, ms: float) -> float:
-        """How long it takes to draw what takes so many milliseconds, seconds."""
+        """Return the expected seconds to draw an option that takes ``ms`` milliseconds."""
 
     def proof(self, which: int) -> Proof:
-        """What truth at the points so far says of an option that was drawn."""
+        """Return the errors of a drawn option according to truth at the points so far."""
 
     def more_points_s(self) -> float | None:
-        """How long it would take to ask truth at more points; ``None`` where all of them are known."""
+        """Return the expected seconds to compute truth at more points; ``None`` if it is known at all points."""
 
     def more_points(self) -> None:
-        """Ask truth at more points."""
+        """Request truth at more points."""
 
 
 @dataclass(frozen=True, eq=False)
 class LightProbe:
-    """What a probe of a light came to: what is believed now, milliseconds and proofs of the options drawn, in order, who would have
-    been taken without it, and how long it took. ``confirmed``: it ended because nothing promised more, not for want of time.
+    """Result of a probe of a light.
+
+    Attributes
+    ----------
+    options
+        The options, corrected by the observations.
+    drawn
+        Milliseconds and proofs of the drawn options by number, in order.
+    leader_before
+        Number of the leader before the probe.
+    seconds
+        Time of the probe.
+    confirmed
+        Whether the probe ended because no candidate promised more, not because of its time limit.
     """
 
     options: LightOptions
@@ -121,8 +152,10 @@ def probed(
     budget_s: float | None = None,
     on_step: Callable[[int], None] = lambda drawn: None,
 ) -> LightProbe:
-    """Probe the options of a light. At least one is drawn, whatever the time; ``on_step(drawn)`` is called after each. Where all of
-    them are refused nothing is left to choose.
+    """Probe the options of a light.
+
+    At least one option is drawn, even without time. ``on_step(drawn)`` is called after each. No choice remains if the algorithms
+    refuse all options.
     """
     drawn_ms: dict[int, float] = {}
     least_gain = LEAST_SAVING if budget_s is not None else LEAST_SAVING_UNLIMITED
@@ -164,30 +197,32 @@ def probed(
 
 
 def leader_of(options: LightOptions, max_error: float, max_ms: float | None) -> int:
-    """Who would be taken by what is believed."""
+    """Return the number of the option with the least expected loss."""
     return options.number(least_expected_loss(options.forecasts(max_error), max_error, max_ms).winner.name)
 
 
 def _gains(options: LightOptions, leader: int, others: Collection[int], max_error: float, max_ms: float | None) -> dict[int, float]:
-    """By how much others promise to be better than a leader."""
+    """Return the expected gains of other options over the leader."""
     return {which: expected_gain(options, which, leader, max_error, max_ms) for which in sorted(others) if which != leader}
 
 
 def _most(gains: Mapping[int, float], least_gain: float) -> int | None:
-    """Who promises most, if that is enough; of equal ones the first."""
+    """Return the option with the largest gain, if it exceeds ``least_gain``. Of equal gains the first option counts."""
     best = max(gains, key=lambda which: (gains[which], -which), default=None)
     return best if best is not None and gains[best] > least_gain else None
 
 
 def expected_gain(options: LightOptions, which: int, leader: int, max_error: float, max_ms: float | None) -> float:
-    """By which share of the leader's time, or of its error where it misses the target, an option is expected to be better: of that
-    which would then be taken, 0 where it is worse.
+    """Return the expected gain of an option over the leader.
+
+    The gain is a share of the leader's time, or of its error if the leader misses the target. A worse result counts as a gain of 0,
+    because the leader is kept then.
     """
     its, first = (options.forecast(number, max_error) for number in (which, leader))
     meets = 1.0 - its.miss_chance(max_ms)
     if first.miss_chance(max_ms) <= LIKELY_MISS_CHANCE:
         return meets * _expected_saving(options.time, which, log(max(first.figures.ms, 1e-9)))
-    # What meets a target that the leader misses is worth more than anything else; else the smaller error is.
+    # An option that meets a target which the leader misses has the largest gain; otherwise the smaller error counts.
     in_time = 1.0 - its.late_chance(max_ms)
     over = relative_overshoot(first.figures, max_error, max_ms)
     nearer = _expected_saving(options.error, which, log_error(first.figures.error)) if over > 0.0 else 0.0
@@ -195,8 +230,9 @@ def expected_gain(options: LightOptions, which: int, leader: int, max_error: flo
 
 
 def _expected_saving(belief: Belief, which: int, than_log: float) -> float:
-    """The expected share by which a value is less than another one, given by its logarithm; 0 where it is more: of a log-normal
-    distribution (as the price of a put option by F. Black and M. Scholes, 1973).
+    """Return the expected relative saving of a log-normal value against another one, whose logarithm is ``than_log``.
+
+    A larger value saves 0. The formula is that of a put option's price (F. Black and M. Scholes, 1973).
     """
     mean, sd = float(belief.mean[which]) - than_log, sqrt(max(float(belief.covariance[which, which]), 0.0))
     if sd == 0.0:

@@ -1,4 +1,4 @@
-"""Options of a light drawn on a scene's view, and held against truth at points of the picture: what a probe goes by."""
+"""Draw options of a light on a scene's view, and compare them with truth at points of the picture. Probes use this."""
 
 from __future__ import annotations
 
@@ -23,19 +23,17 @@ from skugga.terrain.geo.grid import MapView, blocks_of
 from skugga.terrain.scene import Scene
 
 MOST_DOUBLINGS = 4
-"""Truth is asked for on one lattice of a picture, then on 2, 4, 8 and 16 of them: of usual pictures these are all pixels."""
+"""Doublings of the number of lattices with truth: 1, 2, 4, 8, 16. In pictures of usual size 16 lattices contain all pixels."""
 
 COVERAGE_BLOCKS = 16
-"""Blocks of pixels that coverage is compared in at first; twice as many with every step, until they are as many as a report's."""
+"""Blocks of pixels in the first comparison of coverage. The number doubles with every step, up to that of the report."""
 
 DRAWN, LONG_MS = 2, 3000.0
-"""Options are drawn so often, if that takes less than this: the least time counts, since what else a machine does, and what is made
-once, only ever adds to it.
-"""
+"""Repeats of a drawing, if one takes less than ``LONG_MS``. The least time counts: other load and one-time work only add to it."""
 
 
 class ProbedPictures:
-    """What is drawn of a view, whatever the light: of a map the block that most of the view lies in."""
+    """The geometry of a view for all lights. Of a map it is the block that covers most of the view."""
 
     def __init__(self, scene: Scene, view: View, effects: Collection[str]) -> None:
         self.scene, self.view = with_apparent_sun(scene, effects), probed_part(view)
@@ -50,7 +48,7 @@ class ProbedPictures:
 
 
 def probed_part(view: View) -> View:
-    """What is probed of a view: all of it, or of a map the block that most of it lies in."""
+    """Return the part of a view that is probed: all of it, or the block of a map that covers most of it."""
     if not isinstance(view, MapView):
         return view
 
@@ -63,7 +61,7 @@ def probed_part(view: View) -> View:
 
 
 class SceneProver:
-    """A ``skugga.selector.measure.probing.Prover`` of a light's options on a scene."""
+    """A ``skugga.selector.measure.probing.Prover`` for a light's options on a scene."""
 
     def __init__(self, pictures: ProbedPictures, planner: Planner, light: str, options: LightOptions) -> None:
         self._start_s = time.perf_counter()
@@ -79,16 +77,16 @@ class SceneProver:
         self._shares: list[np.ndarray] = []
 
     def elapsed_s(self) -> float:
-        """Seconds since it began."""
+        """Return the seconds since the start."""
         return time.perf_counter() - self._start_s
 
     @staticmethod
     def draw_s(ms: float) -> float:
-        """How long it takes to draw what takes so many milliseconds, seconds."""
+        """Return the expected seconds to draw an option that takes ``ms`` milliseconds."""
         return (DRAWN if ms < LONG_MS else 1) * ms / 1000.0
 
     def draw(self, which: int) -> float | None:
-        """Draw an option; its milliseconds. ``None`` where its algorithm refuses the view after all."""
+        """Draw an option and return its milliseconds; ``None`` if its algorithm refuses the view."""
         plan = self._planner.plan({self._light: self._options.options[which].choice}, {})
         try:
             run = run_light(self._pictures.scene, self._pictures.drawn, plan, self._light)
@@ -111,13 +109,13 @@ class SceneProver:
 
     @property
     def foggy(self) -> bool:
-        """Whether truth decides so little that coverage is what counts."""
+        """Whether truth decides so few points that coverage is the error that counts."""
         counts = [lattice.truth for its in self._known() for lattice in its]
         surface, decided = (sum(int(getattr(truth, name).sum()) for truth in counts) for name in ("there", "decidable"))
         return decided < (1.0 - FOGGY) * surface
 
     def _known(self) -> list[list[Lattice]]:
-        """The lattices so far, picture by picture."""
+        """Return the lattices so far, by picture."""
         while len(self._lattices) < len(self._truths):
             self._lattices.append([])
         for truth, its in zip(self._truths, self._lattices, strict=True):
@@ -129,7 +127,7 @@ class SceneProver:
         return self._lattices
 
     def proof(self, which: int) -> Proof:
-        """What truth at the points so far says of an option that was drawn."""
+        """Return the errors of a drawn option according to truth at the points so far."""
         total = PointCounts()
         for number, its in enumerate(self._known()):
             for index, lattice in enumerate(its):
@@ -141,7 +139,7 @@ class SceneProver:
         return self._of_coverage(which, total) if self.foggy else proof_of(total, self._all_known)
 
     def _of_coverage(self, which: int, total: PointCounts) -> Proof:
-        """The same where coverage counts: the mean difference of shares of shadow in blocks of pixels."""
+        """Return the errors by coverage: the mean difference of the shadow shares in blocks of pixels."""
         blocks = COVERAGE_BLOCKS * 2**self._doublings
         if not self._shares:
             start = time.perf_counter()
@@ -169,19 +167,19 @@ class SceneProver:
         return all(len(its) == truth.lattices for its, truth in zip(self._known(), self._truths, strict=True))
 
     def more_points_s(self) -> float | None:
-        """How long it would take to ask truth at more points, seconds; ``None`` where all of them are known."""
+        """Return the expected seconds to compute truth at more points; ``None`` if it is known at all points."""
         if self._doublings == MOST_DOUBLINGS or (self._all_known and not self.foggy):
             return None
         return self._points_s * 2**self._doublings * len(self._truths) + 2.0 * self._coverage_s
 
     def more_points(self) -> None:
-        """Ask truth at more points."""
+        """Request truth at more points."""
         self._doublings += 1
         self._shares = []
 
 
 def proof_of(counts: PointCounts, all_known: bool) -> Proof:
-    """What counts say; ``all_known``: of all pixels, so that nothing is left to chance."""
+    """Return the errors that counts of points give. ``all_known`` means all pixels are counted, so the intervals have no width."""
     error, interior = counts.wrong_cast / max(counts.cast, 1), counts.inside / max(counts.decided, 1)
     if all_known:
         return Proof(error, error, error, interior, interior, interior, counts.cast)

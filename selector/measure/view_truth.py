@@ -1,4 +1,4 @@
-"""A view's truth, block by block, and visibilities held against it: what the report and the policy ``measure`` share."""
+"""Ground truth of a view, block by block, and errors of visibilities against it. The report and the policy ``measure`` use it."""
 
 from __future__ import annotations
 
@@ -32,18 +32,38 @@ View = MapView | PerspectiveView
 ErrorName = Literal["wrong_cast", "coverage"]
 
 TRUTH_SAMPLES = 4
-"""Sub-samples of a pixel that truth's classes must agree at."""
+"""Sub-samples of a pixel that must agree for truth to decide it."""
 
 SOFT_PIXELS = 40_000
-"""Pixels of a view, about, at which the visibility of a light as an area is known, evenly spaced."""
+"""Number of evenly spaced pixels of a view, approximately, with the true visibility of an area light."""
 
 FOGGY = 0.5
-"""Where more of the surface than this is not decidable, coverage is the error that counts."""
+"""Undecidable share of the surface above which coverage is the error that counts."""
 
 
 @dataclass(frozen=True, eq=False)
 class TruthBlock:
-    """One block's part of a view: its geometry, its casters, its truth, where no light can fall, and where it lies in the view."""
+    """Ground truth of one block of a view.
+
+    Attributes
+    ----------
+    scene
+        The scene.
+    buffer
+        Geometry of the block.
+    light
+        Name of the light.
+    casters
+        Casters that reach the block.
+    truth
+        Truth of the block.
+    attached
+        Surfaces turned away from the light, bool (rows, cols).
+    row
+        First row of the block in the view.
+    col
+        First column of the block in the view.
+    """
 
     scene: Scene
     buffer: GeometryBuffer
@@ -57,9 +77,18 @@ class TruthBlock:
 
 @dataclass(frozen=True, eq=False)
 class ViewTruth:
-    """A view's truth under a light: in blocks, and in one piece; ``error`` is the figure that targets go by.
+    """Ground truth of a view under a light.
 
-    ``true_shares`` are the true shadow shares that coverage is compared by, block by block; none where nothing is.
+    Attributes
+    ----------
+    view
+        The view.
+    grounds
+        Truth by block.
+    whole
+        Truth of the whole view.
+    true_shares
+        True shadow shares by block, the reference of coverage; empty if coverage is not computed.
     """
 
     view: View
@@ -69,20 +98,21 @@ class ViewTruth:
 
     @cached_property
     def true_visibility(self) -> np.ndarray:
-        """Visibility (rows, cols) of the light as an area, the reference of soft edges: in every n-th pixel, elsewhere NaN."""
+        """Visibility (rows, cols) of the light as an area, the reference of soft edges. NaN except in every n-th pixel."""
         every = max(round((self.view.rows * self.view.cols / SOFT_PIXELS) ** 0.5), 1)
         return self.pasted([_area_visibility(ground, every) for ground in self.grounds], np.nan)
 
     @property
     def error(self) -> ErrorName:
+        """The error that targets limit in this view."""
         return "coverage" if self.whole.boundary > FOGGY else "wrong_cast"
 
     def pasted(self, parts: Sequence[np.ndarray], empty: Any) -> np.ndarray:
-        """One array of the view (rows, cols) from one of each block."""
+        """Return one array of the view (rows, cols) from an array for each block."""
         return _paste(self.view, self.grounds, parts, empty)
 
     def cut(self, visibility: np.ndarray) -> list[np.ndarray]:
-        """A visibility of the view (rows, cols) block by block; NaN beyond the view."""
+        """Return a visibility of the view (rows, cols) as blocks, with NaN outside the view."""
         parts = []
         for ground in self.grounds:
             rows, cols = ground.truth.lit.shape
@@ -94,16 +124,16 @@ class ViewTruth:
         return parts
 
     def errors(self, parts: Sequence[np.ndarray], steps: Sequence[Step], pixel_m: float, soft: bool = False) -> Errors:
-        """The figures of the blocks' visibilities (rows, cols), attached shadow included, that a plan's steps filled.
+        """Return the errors of the blocks' visibilities (rows, cols), including attached shadow, drawn by a plan's steps.
 
-        ``soft``: ``soft_error`` is to be against the light as an area (that takes more rays), not as a point.
+        ``soft`` compares ``soft_error`` with the light as an area, which takes more rays, instead of a point.
         """
         footprints_px = [texels_px(ground, steps, pixel_m) for ground in self.grounds]
         true_visibility = self.true_visibility if soft else None
         return errors_of(self.pasted(parts, np.nan), self.whole, pixel_m, self.pasted(footprints_px, 0.0), true_visibility)
 
     def coverage(self, parts: Sequence[np.ndarray]) -> float:
-        """Mean difference of the shadow shares of the blocks' visibilities (rows, cols) from truth's."""
+        """Return the mean difference between the shadow shares of the blocks' visibilities (rows, cols) and truth's."""
         pairs = zip(self.true_shares, parts, strict=True)
         return float(np.mean([coverage_error(block_shares(1.0 - part), shares) for shares, part in pairs]))
 
@@ -111,9 +141,10 @@ class ViewTruth:
 def truth_of_view(
     scene: Scene, view: View, light: str, samples: int = TRUTH_SAMPLES, effects: Collection[str] = frozenset()
 ) -> ViewTruth:
-    """The truth of a view's blocks, or bands, under a light; ``samples`` (a square) sub-samples decide a pixel.
+    """Return the truth of a view's blocks or bands under a light. ``samples``, a square number of sub-samples, decide a pixel.
 
-    ``effects`` are those that run: points at which nobody looks for the light (``skugga.shadows.visibility``) count as no surface.
+    ``effects`` are the running effects. Points so far away that haze hides their shadows count as off the surface
+    (``skugga.shadows.visibility``).
     """
     parts = blocks_of(view) if isinstance(view, MapView) else bands_of(view)
     view_truth = truth_of_parts(scene, view, parts, light, samples, effects)
@@ -129,19 +160,22 @@ def truth_of_parts(
     samples: int = TRUTH_SAMPLES,
     effects: Collection[str] = frozenset(),
 ) -> ViewTruth:
-    """The truth of a view from that of parts of it, each with its first row and column in the view; without what coverage takes."""
+    """Return the truth of a view from parts, each with its first row and column in the view.
+
+    True shadow shares are not computed.
+    """
     grounds = [_ground(scene, light, part, row, col, samples, effects) for part, row, col in parts]
     return ViewTruth(view, grounds, _joined_truth(view, grounds))
 
 
 def _joined_truth(view: View, grounds: Sequence[TruthBlock]) -> Truth:
-    """A view's truth in one piece."""
+    """Return the truth of the whole view."""
     fields = ("lit", "attached", "decidable", "there")
     return Truth(*(_paste(view, grounds, [getattr(ground.truth, field) for ground in grounds], False) for field in fields))
 
 
 def texels_px(ground: TruthBlock, steps: Sequence[Step], pixel_m: float) -> np.ndarray:
-    """The largest texels of any of a plan's steps at a block's points, pixels (rows, cols)."""
+    """Return the largest texels of a plan's steps at a block's points, pixels (rows, cols)."""
     drawing: Sequence[Step | None] = steps or [None]
     return np.max([texel_footprint_px(ground.scene, step, ground.buffer, pixel_m) for step in drawing], axis=0)
 
@@ -159,7 +193,10 @@ def _ground(scene: Scene, light: str, block: View, row: int, col: int, samples: 
 
 
 def _area_visibility(ground: TruthBlock, every: int) -> np.ndarray:
-    """A block's true visibility (rows, cols) of the light as an area in every n-th pixel; NaN elsewhere and off the surface."""
+    """Return a block's true visibility (rows, cols) of the light as an area in every n-th pixel.
+
+    Other pixels and points off the surface are NaN.
+    """
     out = np.full(ground.truth.lit.shape, np.nan, np.float32)
     if ground.light == SUN and not ground.scene.sun_is_up:
         out[ground.truth.there] = 0.0

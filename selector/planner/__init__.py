@@ -1,1 +1,1 @@
-"""From a choice to a plan: the rules, and what runs for each light and kind of casters, each with its reason."""
+"""Turn choices into plans: the rules, and the algorithm for each light and kind of casters, each with its reason."""

@@ -1,4 +1,4 @@
-"""The `rules` policy: what is known of the algorithms beforehand, as rules over the descriptor, each with its source."""
+"""The policy ``rules``: choose algorithms by fixed rules over the descriptor, each with its source."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NO_RULE = "default: no rule applies, and a shadow map serves every view, light a
 
 
 def choices_by_rules(descriptor: Descriptor, shadows: Shadows, lights: Iterable[str]) -> dict[str, Choice]:
-    """What the rules take for each of some lights, with the first rule that applies as the reason, and its source."""
+    """Return the choices of the rules for some lights. The reason is the first rule that applies, with its source."""
     choices = {}
     for light in lights:
         algorithms = {kind: _first(RuleInput(descriptor, light, kind, shadows)) for kind in descriptor.casters}
@@ -28,7 +28,7 @@ def choices_by_rules(descriptor: Descriptor, shadows: Shadows, lights: Iterable[
 
 
 def _first(case: RuleInput) -> tuple[AlgorithmName, str]:
-    """The algorithm of the first rule that applies and whose algorithm can serve the case, and the reason."""
+    """Return the algorithm and the reason of the first rule that applies and whose algorithm can serve."""
     for rule in RULES:
         if can_serve(rule.takes, case.descriptor, case.light, case.kind, case.asked) and (why := rule.applies(case)) is not None:
             return rule.takes, f"{why} ({rule.source})"

@@ -1,8 +1,8 @@
-"""The rules themselves, most telling first: an algorithm, when it is advised, and who found that out.
+"""The rules of the policy ``rules``, in order of precedence: an algorithm, the condition, and the source.
 
-Most are the advice of a thesis: J. Sindholt, A comparison of Shadow Algorithms, DTU 2005, section 8.2 and table 1. The rest is
-what it could not know: maps without perspective, heightfields that are swept. How far our own measurements bear the advice out
-stands in ``docs/seeds.md``; each threshold says what it was read from.
+Most rules are the advice of a thesis: J. Sindholt, A comparison of Shadow Algorithms, DTU 2005, section 8.2 and table 1. The other
+rules cover what the thesis does not: maps without perspective, and the sweep of heightfields. ``docs/seeds.md`` compares the advice
+with our own measurements. Each threshold has a note on its source.
 """
 
 from __future__ import annotations
@@ -20,55 +20,75 @@ from skugga.terrain.level.algorithm_names import AlgorithmName
 from skugga.terrain.level.level import SUN, CasterKind, Shadows
 
 MAPS_ERROR = 0.006
-"""Share of the cast shadow that perspective maps get wrong in the mean over a thesis's five scenes, and plain maps four times as
-much (``docs/seeds.md``, the grades): who asks for less is not served by maps.
+"""Mean share of the cast shadow that perspective shadow maps get wrong in the thesis's five scenes. Plain maps have four times the
+error (``docs/seeds.md``, the grades). Maps cannot meet a smaller limit.
 """
 
 FEW_TRIANGLES = 2000
-"""So many are few. Volumes are at their best with the 400 of the street, and cost 1.7 to 4 times a map with the 12,000 and more of
-the thesis's other scenes (``docs/seeds.md``, the advice): the limit lies half-way, by ratios.
+"""Triangles, at most, of a mesh with few triangles.
+
+Volumes are fastest with the 400 triangles of the street. With the 12,000 and more of the thesis's other scenes they cost 1.7 to 4
+times a map (``docs/seeds.md``, the advice). The limit is the geometric middle.
 """
 
 CLOSED_SHARE = 0.5
-"""Where fewer of the triangles belong to closed meshes, few triangles do not make few faces: each open edge is a silhouette."""
+"""Share of the triangles that must belong to closed meshes. Below it a mesh of few triangles still has many volume faces: each open
+edge is a silhouette.
+"""
 
 USUAL_TEXELS = 1024
-"""Texels a side of the map that the advice speaks of: the thesis's."""
+"""Texels a side of the map in the thesis's advice."""
 
 SHARP_TEXEL_PX = 2.0
-"""Where a texel covers no more pixels than this, 95 % of the edges are off by at most one (``docs/seeds.md``, figure 52)."""
+"""If a texel covers at most this many pixels, 95 % of the edges are off by at most one pixel (``docs/seeds.md``, figure 52)."""
 
 COARSE_TEXEL_PX = 4.0
-"""Where it covers more than this, some edges are off by more than two pixels, and the camera is near (figure 52). In the thesis's
-scenes it is 1.4 to 3 pixels in overviews, 6 to 30 from close by.
+"""If a texel covers more pixels than this, some edges are off by more than two pixels, and the camera counts as near.
+
+See figure 52 in ``docs/seeds.md``. In the thesis's scenes a texel covers 1.4 to 3 pixels in overviews, and 6 to 30 pixels from a
+near camera.
 """
 
 SMALL_SHADOW = 0.02
-"""As small a share of what is seen is a small shadowed area. (The thesis gives no number.)"""
+"""Share of the visible surface, at most, of a small shadowed area. The thesis gives no number."""
 
 BEHIND_DEG = 160.0
-"""Where view and light point the same way but for 20 degrees, most shadows hide behind what casts them."""
+"""Where light and view directions differ by at most 20 degrees, most shadows are hidden behind their casters."""
 
 COMPLEX_LAYERS = 7.0
-"""From so many faces of volumes over a pixel on shadows are complex: those of the box grid, the water tower and the room come to 9
-to 65, those of the stone circles and the street to 1 to 5, as the thesis grades them (section 7).
+"""Volume faces over a pixel, at least, of complex shadows.
+
+The box grid, the water tower and the room have 9 to 65 of them, the stone circles and the street 1 to 5. The thesis grades them
+accordingly (section 7).
 """
 
 MAP_SETTINGS = tuple(key for key in Shadows.model_fields if key in ShadowMapSettings.model_fields)
-"""What can be asked for and is a map's alone; but one tap is as good as none, and the sun's disc is swept, too."""
+"""Settings that only shadow maps have. Filters of one tap and ``sun`` are exceptions: other algorithms have them, too."""
 
 LITTLE_SEEN = 1.0 / 3.0
-"""Where less of the light's area than this is seen, the camera sees a little of it. In the stone circles under the sun it is 30 %,
-and perspective maps get half as much wrong as plain ones, in the same time (``docs/seeds.md``, the advice).
+"""Share of the lit area, at most, of which the camera sees a small part. In the stone circles under the sun the share is 30 %.
+Perspective maps get half as much wrong there as plain maps, in the same time (``docs/seeds.md``, the advice).
 """
 
 LEAST_GAIN = 4.0
-"""What perspective has to promise, as a factor of a texel's size near the eye, before its uneven texels are worth having."""
+"""Reduction of a texel's size near the eye, at least, that makes the uneven texels of a perspective map worthwhile."""
 
 
 @dataclass(frozen=True)
 class RuleInput:
-    """What a rule is asked about: a kind of casters under a light, and what is asked of the shadows."""
+    """Input of a rule: a kind of casters under a light, and the requested shadow settings.
+
+    Attributes
+    ----------
+    descriptor
+        Facts of the view.
+    light
+        Name of the light.
+    kind
+        Kind of casters.
+    asked
+        Requested shadow settings.
+    """
 
     descriptor: Descriptor
     light: str
@@ -77,23 +97,35 @@ class RuleInput:
 
     @property
     def lamp(self) -> LampFacts | None:
-        """The light, if it is not the sun."""
+        """The lamp of the light; ``None`` for the sun."""
         return next((lamp for lamp in self.descriptor.lamps if lamp.name == self.light), None)
 
     @property
     def seen(self) -> LightFacts | None:
-        """What is known of the light in the view."""
+        """Facts of the light in the view, or ``None``."""
         return self.descriptor.lights.get(self.light)
 
     @property
     def casters(self) -> CasterFacts | None:
-        """What is known of the casters."""
+        """Facts of the casters, or ``None``."""
         return next((stand for stand in self.descriptor.stands if stand.kind == self.kind), None)
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule: the algorithm it takes, the reason in a case (``None``: it does not apply, or facts lack), and its source."""
+    """A rule of the policy ``rules``.
+
+    Attributes
+    ----------
+    name
+        Name of the rule.
+    takes
+        Its algorithm.
+    applies
+        Returns the reason for a case; ``None`` if the rule does not apply or facts are unknown.
+    source
+        Source of the rule.
+    """
 
     name: str
     takes: AlgorithmName
@@ -107,7 +139,7 @@ def _settings_of_maps(case: RuleInput) -> str | None:
     keys = [key for key in MAP_SETTINGS if getattr(case.asked, key) not in others.get(key, ("auto",))]
     if not keys:
         return None
-    return f"settings of shadow maps are set: {', '.join(f'{key} {getattr(case.asked, key)}' for key in keys)}"
+    return f"settings that only shadow maps have are set: {', '.join(f'{key} {getattr(case.asked, key)}' for key in keys)}"
 
 
 def _heightfield(case: RuleInput) -> str | None:
@@ -118,13 +150,13 @@ def _heightfield(case: RuleInput) -> str | None:
 
 def _perfect(case: RuleInput) -> str | None:
     if case.asked.max_error >= MAPS_ERROR or case.asked.max_ms is not None:
-        return None  # the time of volumes has no bound that rules could tell
+        return None  # rules know no upper bound of the time of volumes
     return f"max_error {case.asked.max_error:.2g} is too small for most shadow maps: shadow volumes are exact to the pixel"
 
 
 def _leaves(case: RuleInput) -> str | None:
     if case.kind == "forest":
-        return "alpha-tested foliage needs a shadow map; a perspective map is no finer on trees"
+        return "alpha-tested foliage needs a shadow map; a perspective shadow map has no finer texels on trees"
     if "forest" in case.descriptor.casters:
         return "the shadow map for the foliage draws the other casters at little extra cost"
     return None
@@ -134,7 +166,7 @@ def _few_polygons(case: RuleInput) -> str | None:
     casters = case.casters
     if casters is None or not 0 < casters.triangles <= FEW_TRIANGLES or casters.closed_share < CLOSED_SHARE:
         return None
-    return f"few polygons ({casters.triangles} triangles): shadow volumes are cheap, and exact to the pixel"
+    return f"few polygons ({casters.triangles} triangles): shadow volumes are fast, and exact to the pixel"
 
 
 def _narrow(case: RuleInput) -> str | None:
@@ -144,14 +176,14 @@ def _narrow(case: RuleInput) -> str | None:
     texel_px = across_m / USUAL_TEXELS / case.descriptor.pixel_m
     if texel_px > SHARP_TEXEL_PX:
         return None
-    return f"narrow light: a texel covers {texel_px:.2g} pixels at the target"
+    return f"narrow light cone: a texel of the shadow map covers {texel_px:.2g} pixels at the lamp's target"
 
 
 def _small_shadow(case: RuleInput) -> str | None:
     casting = case.seen.casts.get(case.kind) if case.seen else None
     if casting is None or casting.share > SMALL_SHADOW:
         return None
-    return f"small shadowed area, {100.0 * casting.share:.1f} % of the view"
+    return f"small shadowed area: {100.0 * casting.share:.1f} % of the view"
 
 
 def _behind(case: RuleInput) -> str | None:
@@ -161,14 +193,14 @@ def _behind(case: RuleInput) -> str | None:
 
 
 def _map_view(case: RuleInput) -> str | None:
-    return "map view: every edge is equally far away" if case.descriptor.view_kind == "map" else None
+    return "map view: all shadow edges are equally far away" if case.descriptor.view_kind == "map" else None
 
 
 def _afar(case: RuleInput) -> str | None:
     texel_px = _near_texel_px(case)
     if texel_px is None or texel_px > COARSE_TEXEL_PX:
         return None
-    return f"camera far from shadow edges: a texel covers {texel_px:.2g} pixels at the nearest edge"
+    return f"camera far from shadow edges: a texel of the shadow map covers {texel_px:.2g} pixels at the nearest edge"
 
 
 def _complex(case: RuleInput) -> str | None:
@@ -177,7 +209,7 @@ def _complex(case: RuleInput) -> str | None:
         return None
     return (
         f"complex shadows (about {case.seen.volume_layers:.2g} volume faces per pixel) and a near camera: "
-        f"a texel covers {texel_px:.2g} pixels at the nearest edge"
+        f"a texel of the shadow map covers {texel_px:.2g} pixels at the nearest edge"
     )
 
 
@@ -185,16 +217,19 @@ def _little_seen(case: RuleInput) -> str | None:
     bands, light_facts = case.descriptor.bands, case.seen
     if not bands or light_facts is None or light_facts.area_share > LITTLE_SEEN:
         return None
-    # Of a camera slid back until all casters lie before it, the plane of infinity lies at depth m in post-perspective space, and
-    # far is m / (m - 1) times near: no texel gets smaller by more than that.
+    # If the camera is slid back until all casters lie before it, the plane of infinity lies at depth m in post-perspective space.
+    # The far distance is then m / (m - 1) times the near one. No texel gets smaller by more than this factor.
     gain = bands[-1].far_m / bands[0].near_m
     if gain < LEAST_GAIN:
         return None
-    return f"the camera sees {100.0 * light_facts.area_share:.1f} % of the lit area: a perspective map puts its texels there"
+    return f"the camera sees {100.0 * light_facts.area_share:.1f} % of the lit area: a perspective shadow map puts its texels there"
 
 
 def _near_texel_px(case: RuleInput) -> float | None:
-    """Pixels that a usual map's texel covers at the nearest shadow edge of a perspective view, if that is known."""
+    """Return the pixels that a map's texel covers at the nearest shadow edge of a perspective view, or ``None`` if unknown.
+
+    The map has ``USUAL_TEXELS`` a side.
+    """
     descriptor, light_facts, lamp = case.descriptor, case.seen, case.lamp
     if descriptor.pixel is None or light_facts is None or light_facts.nearest_edge_m is None:
         return None
@@ -220,13 +255,13 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule("perfect shadows", "shadow_volume", _perfect, f"{THESIS_SECTION}; docs/seeds.md: 0.01 % wrong at most"),
     Rule("foliage needs a map", "shadow_map", _leaves, "Sindholt 2005, table 1; docs/seeds.md, the advice"),
-    Rule("few polygons", "shadow_volume", _few_polygons, f"{THESIS_SECTION}; docs/seeds.md: cheapest there"),
+    Rule("few polygons", "shadow_volume", _few_polygons, f"{THESIS_SECTION}; docs/seeds.md: fastest in such scenes"),
     Rule("narrow light", "shadow_map", _narrow, f"{THESIS_SECTION}; docs/seeds.md, figures 52 and 53"),
     Rule("small shadowed area", "shadow_map", _small_shadow, THESIS_SECTION),
     Rule("light near the camera", "shadow_map", _behind, f"{THESIS_SECTION}; docs/seeds.md, figure 54, for a lamp"),
-    Rule("map view", "shadow_map", _map_view, "docs/how-it-works.md: a map view is no camera"),
+    Rule("map view", "shadow_map", _map_view, "docs/how-it-works.md: a map view has no perspective"),
     Rule("far from every edge", "shadow_map", _afar, f"{THESIS_SECTION}; docs/seeds.md: no larger errors from afar"),
-    Rule("complex shadows from near", "hybrid", _complex, f"{THESIS_SECTION}; docs/seeds.md: cheaper than volumes in some of them"),
+    Rule("complex shadows from near", "hybrid", _complex, f"{THESIS_SECTION}; docs/seeds.md: faster than volumes in some scenes"),
     Rule(
         "small part of the lit area seen",
         "perspective_shadow_map",
@@ -234,4 +269,4 @@ RULES: tuple[Rule, ...] = (
         f"{THESIS_SECTION}; docs/seeds.md: half the errors of a map",
     ),
 )
-"""First that applies wins, for each light and kind of casters."""
+"""The first rule that applies wins, for each light and kind of casters."""

@@ -1,4 +1,4 @@
-"""What is asked for together, by the request, the level's pins and the level itself, and who asks for what."""
+"""Combine the shadow settings of the request, of the level's pins and of the level, and tell which of them set a key."""
 
 from __future__ import annotations
 
@@ -13,8 +13,21 @@ from skugga.terrain.level.level import LevelShadows, Pin, Shadows, override
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What is asked of the shadows of one view under one sun. A request's ``overrides`` go before the level's first pin that holds
-    there, and this before the level's own ``shadows``: key by key.
+    """The shadow settings of one view under one sun.
+
+    For each key, the request's ``overrides`` take precedence over the level's first pin that applies, and the pin over the level's
+    own ``shadows``.
+
+    Attributes
+    ----------
+    shadows
+        The combined settings.
+    overrides
+        Settings of the request.
+    pin
+        The pin that applies, or ``None``.
+    pin_number
+        Its index in the level's list of pins, or ``None``.
     """
 
     shadows: Shadows
@@ -23,17 +36,17 @@ class Asked:
     pin_number: int | None = None
 
     def who(self, key: str) -> str:
-        """Who asks for a setting, as the subject of a sentence."""
+        """Return the source of a setting as the subject of a sentence."""
         if key in self.overrides:
             return "the request"
         return "the level" if not self._is_pinned(key) else f"the level's pin for {self._where}"
 
     def because(self, key: str) -> str:
-        """Why a setting is what it is, where somebody asks for it."""
+        """Return the reason for a setting that the request or the level sets."""
         return f"pinned by the level for {self._where}" if self._is_pinned(key) else f"set by {self.who(key)}"
 
     def named(self, key: str) -> str:
-        """Where a setting is asked for: a parameter, or a key of the level file."""
+        """Return the name of a setting where it is set: a parameter, or a key of the level file."""
         if key in self.overrides:
             return key
         return f"shadows.pins.{self.pin_number}.{key}" if self._is_pinned(key) else f"shadows.{key}"
@@ -47,7 +60,7 @@ class Asked:
 
 
 def asked_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: Mapping[str, Any] | None = None) -> Asked:
-    """What is asked for a descriptor's view under its sun. Raises ``InputError`` for an override that is wrong."""
+    """Return the shadow settings for a descriptor's view under its sun. Raises ``InputError`` for a wrong override."""
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
     own = plan_request.shadows
     number = own.pin_for(descriptor.view, descriptor.sun_altitude_deg)

@@ -1,5 +1,6 @@
-"""Descriptor, request and choices -> Plan, for every policy: what runs for each light and kind of casters, with what settings,
-and why.
+"""Make the plan of a view from a descriptor, a request and choices, for every policy.
+
+A plan has the algorithm and the settings for each light and kind of casters, with reasons.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ from skugga.terrain.level.level import (
 )
 
 SETTING_NAMES = tuple(key for key in ShadowSettings.model_fields if key != "algorithm")
-"""What can be asked for besides an algorithm and a target."""
+"""Shadow settings that a request may set besides the algorithm and the target."""
 
 
 def make_plan(
@@ -55,20 +56,34 @@ def make_plan(
     choices: Mapping[str, Choice] | None = None,
     rejected: Mapping[AlgorithmName, str] | None = None,
 ) -> Plan:
-    """The plan of a view.
+    """Return the plan of a view.
 
-    ``overrides`` (fields of ``Shadows``) come before the request's own (a level's pins, then its ``shadows``), and these before
-    ``choices``, one for each light (default: those of the rules). ``rejected`` are reasons why algorithms are not chosen; for all
-    others the plan names what was preferred.
+    Parameters
+    ----------
+    descriptor
+        Facts of the view.
+    plan_request
+        The level, or a ``StandaloneRequest``.
+    overrides
+        Fields of ``Shadows`` that the request sets. They take precedence over the level's pins, and these over its ``shadows``.
+    choices
+        Choices by light for everything that request and level leave open. ``None`` takes those of the rules.
+    rejected
+        Reasons against algorithms. For all others the plan names the preferred algorithm.
 
-    Raises ``InputError`` for an override that is wrong and ``UnsupportedError`` for one that cannot be served.
+    Raises
+    ------
+    InputError
+        An override is wrong.
+    UnsupportedError
+        An override cannot be served.
     """
     planner = planner_of(descriptor, plan_request, overrides)
     return planner.plan(choices_by_rules(descriptor, planner.asked, planner.lights) if choices is None else choices, rejected or {})
 
 
 def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dict[str, Any] | None = None) -> Planner:
-    """What all plans of a descriptor share, whatever is chosen. Raises as ``make_plan`` does."""
+    """Return the planner of a descriptor: all that its plans share, whatever is chosen. Raises the errors of ``make_plan``."""
     asked = asked_of(descriptor, plan_request, overrides)
     shadows = asked.shadows
     effects, left_out = _effects(descriptor, plan_request, shadows)
@@ -80,13 +95,27 @@ def planner_of(descriptor: Descriptor, plan_request: PlanRequest, overrides: dic
     return Planner(descriptor, asked, effects, left_out, algorithm_override, forced)
 
 
-COARSE_PIXELS = "larger than the data's cells: each shows the mean visibility of the {side} x {side} points of a finer map in it"
+COARSE_PIXELS = "pixels are larger than the data's cells: each shows the mean visibility of {side} x {side} sub-pixel samples"
 
 
 @dataclass(frozen=True, eq=False)
 class Planner:
-    """Plans of one descriptor: ``request`` is what level and request ask for, ``algorithm_override`` the algorithms in it;
-    ``effects`` are those that the scene calls for and ``left_out`` the others, ``forced`` those that the level forces on.
+    """Makes the plans of one descriptor.
+
+    Attributes
+    ----------
+    descriptor
+        Facts of the view.
+    request
+        Shadow settings of the request and the level.
+    effects
+        Effects that the scene needs.
+    left_out
+        Effects that are left out, with reasons.
+    algorithm_override
+        Requested algorithms by light and kind of casters.
+    forced
+        Effects that the level forces on.
     """
 
     descriptor: Descriptor
@@ -101,29 +130,31 @@ class Planner:
 
     @cached_property
     def lights(self) -> tuple[str, ...]:
-        """The lights that are planned for: the sun and the lamps; in a perspective view those alone that reach it, or all if lamps
-        are forced on. The plan of a map may stand for others of its scale.
+        """The lights to plan for: the sun and the lamps.
+
+        In a perspective view lamps that do not reach the view are left out, unless lamps are forced on. In a map view all lamps are
+        planned for, because the plan may stand for other maps of its scale.
         """
         return tuple(light for light in self.descriptor.light_kinds if light not in self._dark)
 
     @cached_property
     def _dark(self) -> dict[str, None]:
-        """The lamps that nothing is planned for, in order."""
+        """The lamps that are left out, in order."""
         if self.descriptor.view_kind == "map":
             return {}
         return dict.fromkeys(lamp.name for lamp in self.descriptor.lamps if not lamp.reaches and "lamps" not in self.forced)
 
     @property
     def asked(self) -> Shadows:
-        """What is asked for, whoever asks."""
+        """The combined shadow settings of the request and the level."""
         return self.request.shadows
 
     def casting(self, light: str) -> list[CasterKind]:
-        """The kinds of casters that throw shadows under a light, or may."""
+        """Return the kinds of casters that cast shadows under a light, or may."""
         return [assignment.kind for assignment in self._assignments(light, None) if assignment.name != NO_SHADOWS]
 
     def steps(self, light: str, choice: Choice) -> tuple[Step, ...]:
-        """What a choice comes to under its light. Raises as ``make_plan`` does."""
+        """Return the steps of a choice for a light. Raises the errors of ``make_plan``."""
         combination = (light, *choice.algorithm.items())
         if combination not in self._combinations:
             self._combinations[combination] = {
@@ -137,7 +168,7 @@ class Planner:
         return tuple(plan_steps({light: algorithm}, {light: settings}))
 
     def plan(self, choices: Mapping[str, Choice], rejected: Mapping[AlgorithmName, str]) -> Plan:
-        """The plan that comes of choices by light. Raises as ``make_plan`` does."""
+        """Return the plan for choices by light. Raises the errors of ``make_plan``."""
         descriptor, shadows, requester = self.descriptor, self.asked, self.request.who("algorithm")
         assignments = [assignment for light in self.lights for assignment in self._assignments(light, choices.get(light))]
         reasons = [
@@ -160,7 +191,7 @@ class Planner:
             reasons.append(Reasoned(name="lamps left out", reason=f"no light from {dark} reaches the view"))
         reasons += _settings_asked_for(self.request, settings, reasons)
         if descriptor.pieces > 1 and settings:
-            reasons.append(Reasoned(name="coarse pixels", reason=COARSE_PIXELS.format(side=descriptor.pieces)))
+            reasons.append(Reasoned(name="supersampling", reason=COARSE_PIXELS.format(side=descriptor.pieces)))
         effects, left_out = _with_work(self.effects, self.left_out, algorithm, settings)
         used = {assignment.name for assignment in assignments}
         nothing = self._missing.get("cast_shadows")
@@ -196,25 +227,25 @@ class Planner:
         return assignments
 
     def _is_area(self, light: str) -> bool:
-        """Whether a light is to be shown as the area that it is: not the sun, where its edges are to be sharp."""
+        """Return whether a light is drawn as an area. The sun is not, if its edges are to be sharp."""
         return is_area(self.descriptor, light, self.asked) and not (light == SUN and "soft_edges" in self._missing)
 
     def _picked(self, choice: Choice | None) -> dict[str, Any]:
-        """The settings of a choice that the level and the request leave open."""
+        """Return the settings of a choice that the level and the request leave open."""
         return {key: value for key, value in (choice.settings if choice else {}).items() if getattr(self.asked, key) == "auto"}
 
     def _resolved(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
-        """The settings of an algorithm, if it has any, and what spoke for those that the choice left open; each worked out once."""
+        """Return the settings of an algorithm, if any, and the reasons for those that the choice left open. Results are cached."""
         open_settings = self._picked(choice)
         key = (light, name, *open_settings.items())
         if key not in self._resolved_settings:
             asked, sharp_because = self.asked.model_copy(update=open_settings), self._missing.get("soft_edges")
             settings, reasons = ALGORITHMS[name].resolve(SettingsRequest(self.descriptor, light, asked, sharp_because))
-            self._resolved_settings[key] = self._unique.setdefault(settings, settings), reasons  # equal ones are one
+            self._resolved_settings[key] = self._unique.setdefault(settings, settings), reasons  # equal settings share an object
         return self._resolved_settings[key]
 
     def _settings(self, light: str, name: AlgorithmName, choice: Choice | None) -> tuple[AlgorithmSettings | None, list[Reasoned]]:
-        """The settings of an algorithm, if it has any, and the reasons for them."""
+        """Return the settings of an algorithm, if any, and the reasons for them."""
         open_settings = self._picked(choice)
         settings, reasons = self._resolved(light, name, choice)
         chosen = [
@@ -228,8 +259,24 @@ class Planner:
 
 @dataclass(frozen=True)
 class _Assignment:
-    """What is taken for a kind of casters under a light, and why; ``free`` if that was the policy's choice. ``asked_for`` is what
-    was chosen or asked for, from which it may have had to fall back.
+    """The algorithm of a kind of casters under a light.
+
+    Attributes
+    ----------
+    light
+        Name of the light.
+    kind
+        Kind of casters.
+    name
+        The algorithm.
+    why
+        The reason for it.
+    free
+        Whether the policy chose it.
+    parts
+        What the algorithm must be able to do.
+    asked_for
+        The chosen or requested algorithm, before a fallback.
     """
 
     light: str
@@ -242,7 +289,7 @@ class _Assignment:
 
 
 def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows) -> tuple[list[Reasoned], list[Reasoned]]:
-    """The effects that run, and those left out."""
+    """Return the effects that run and those that are left out."""
     effects: list[Reasoned] = []
     left_out: list[Reasoned] = []
     for name, effect in EFFECTS.items():
@@ -255,7 +302,7 @@ def _effects(descriptor: Descriptor, plan_request: PlanRequest, shadows: Shadows
             runs, reason = shadows.filter != 1, f"filter {shadows.filter} is set ({verdict.reason})"
         missing_needs = [other for other in left_out if other.name in effect.needs]
         if runs and missing_needs:
-            runs, reason = False, f"needs {missing_needs[0].name}, left out here: {missing_needs[0].reason}"
+            runs, reason = False, f"needs {missing_needs[0].name}, which is left out: {missing_needs[0].reason}"
         (effects if runs else left_out).append(Reasoned(name=name, reason=reason))
     return effects, left_out
 
@@ -270,7 +317,10 @@ def _with_work(
     algorithm: dict[str, dict[CasterKind, AlgorithmName]],
     settings: dict[str, dict[CasterKind, AlgorithmSettings]],
 ) -> tuple[list[Reasoned], list[Reasoned]]:
-    """The effects that run, and those left out, when the algorithms are chosen: some have nothing to do with some algorithms."""
+    """Return the effects that run and those that are left out, given the algorithms.
+
+    Some effects have no work with some algorithms.
+    """
     casting = {kind for per_kind in algorithm.values() for kind, name in per_kind.items() if name != NO_SHADOWS}
     sun = algorithm.get(SUN, {})
     filtered = any(getattr(kind_settings, "filter", 1) != 1 for kind_settings in settings.get(SUN, {}).values())
@@ -305,8 +355,9 @@ def _algorithm(
     forced: Collection[EffectName],
     choice: Choice | None,
 ) -> tuple[AlgorithmName, str, bool]:
-    """The algorithm of a light for a kind of casters, the reason, and whether it was free to be chosen; ``missing`` are the effects
-    left out, with theirs, ``forced`` those that the level forces on.
+    """Return the algorithm of a light for a kind of casters, the reason, and whether the policy chose it.
+
+    ``missing`` has the reasons of the effects that are left out, ``forced`` the effects that the level forces on.
     """
     needed = {"cast_shadows", "alpha_test"} if caster == "forest" else {"cast_shadows"}
     for effect in sorted(needed | ({"lamps"} if light != SUN else set())):
@@ -328,13 +379,16 @@ def _algorithm(
 
 
 def _falls_back(name: AlgorithmName, parts: tuple[Requirement, ...]) -> str | None:
-    """Why an algorithm that is asked for falls back to ``FALLBACK``; ``None`` where it serves, or where it is an error."""
+    """Return the reason why an algorithm falls back to ``FALLBACK``.
+
+    ``None`` means that it serves, or that its refusal is an error.
+    """
     others = [part for part in parts if part != FALLS_BACK_FOR]
     return None if ALGORITHMS[name].refusal(others) else ALGORITHMS[name].refusal(parts)
 
 
 def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Requirement, ...], request: Asked) -> None:
-    """Raise ``UnsupportedError`` for what an algorithm refuses, with what serves it instead."""
+    """Raise ``UnsupportedError`` if an algorithm refuses, with the algorithms that serve instead."""
     why = ALGORITHMS[name].refusal(parts)
     if why is not None:
         value, allowed = f"{name} for {caster} under {light}", f"{why}; algorithms that can: {', '.join(algorithms_serving(parts))}"
@@ -342,7 +396,7 @@ def _check(name: AlgorithmName, light: str, caster: CasterKind, parts: tuple[Req
 
 
 def _rejected(name: AlgorithmName, assignments: list[_Assignment], requester: str, rejected: Mapping[AlgorithmName, str]) -> str:
-    """Why an algorithm is not taken: what it refuses, what its policy says of it, or what went before it."""
+    """Return why an algorithm is not used: its own refusal, the policy's reason against it, or the preferred algorithm."""
     free_assignments = [assignment for assignment in assignments if assignment.free]
     if not ALGORITHMS[name].served:
         return ALGORITHMS[name].about
@@ -351,7 +405,7 @@ def _rejected(name: AlgorithmName, assignments: list[_Assignment], requester: st
     if not free_assignments:
         return f"{requester} sets {', '.join(sorted({assignment.asked_for for assignment in assignments}))}"
     if name == NO_SHADOWS:
-        return "there are casters and light, so there are shadows to draw"
+        return "the view has casters and light, so shadows are drawn"
     if name in rejected:
         return rejected[name]
     if len(free_assignments) == 1:
@@ -375,8 +429,9 @@ def _settings_asked_for(
     settings: dict[str, dict[CasterKind, AlgorithmSettings]],
     given_reasons: list[Reasoned],
 ) -> list[Reasoned]:
-    """For each setting that is asked for: who set it, and whether any chosen algorithm has it; ``given_reasons`` are known
-    already.
+    """Return a reason for each setting that is set: who set it, and whether any chosen algorithm has it.
+
+    ``given_reasons`` are reported already.
     """
     resolved = [kind_settings for per_kind in settings.values() for kind_settings in per_kind.values()]
     reported = {reasoned.name.rpartition(": ")[2] for reasoned in given_reasons}
